@@ -1,0 +1,354 @@
+#include "calib/camera.h"
+
+#include <tbb/blocked_range.h>
+#include <tbb/parallel_for.h>
+
+#include <Eigen/LU>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <stdexcept>
+
+#include "calib/error.h"
+#include "calib/internal/mrcal.h"
+
+namespace plumbline {
+namespace {
+
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+constexpr std::size_t kChunk = 256;           // points handed to libmrcal in one call
+constexpr std::size_t kParallelGrain = 8192;  // points below which threads do not pay
+constexpr int kMaxNewtonSteps = 30;
+constexpr double kUnprojectTolerance_px = 1e-9;
+
+using DenseJacobian = Eigen::Matrix<double, 2, Eigen::Dynamic, Eigen::RowMajor>;
+
+// The inverse of a projection is sought in a plane chart of the viewing directions: u -> point(u),
+// in which the bare lens (pinhole or stereographic) is affine, so that Newton's method starts
+// within the distortion of the answer.
+struct Chart {
+  bool stereographic;
+  double fxycxy[4] = {1, 1, 0, 0};
+
+  mrcal_point3_t Point(const Eigen::Vector2d& u, Eigen::Matrix<double, 3, 2>* d_point_d_u) const {
+    mrcal_point3_t p;
+    if (!stereographic) {
+      p.x = u.x();
+      p.y = u.y();
+      p.z = 1;
+      *d_point_d_u << 1, 0, 0, 1, 0, 0;
+      return p;
+    }
+    const mrcal_point2_t q = {{u.x(), u.y()}};
+    std::array<mrcal_point2_t, 3> gradient;
+    mrcal_unproject_stereographic(&p, gradient.data(), &q, 1, fxycxy);
+    for (int r = 0; r < 3; ++r) {
+      (*d_point_d_u)(r, 0) = gradient[static_cast<std::size_t>(r)].x;
+      (*d_point_d_u)(r, 1) = gradient[static_cast<std::size_t>(r)].y;
+    }
+    return p;
+  }
+};
+
+}  // namespace
+
+namespace internal {
+
+mrcal_lensmodel_t ToMrcal(const LensModel& model) {
+  mrcal_lensmodel_t m{};
+  const std::string name = model.Name();
+  if (!mrcal_lensmodel_from_name(&m, name.c_str())) {
+    throw InputError(
+        "lens model '" + name +
+        "' is not one libmrcal accepts; use OPENCV4, OPENCV5, OPENCV8 or SPLINED_STEREOGRAPHIC");
+  }
+  return m;
+}
+
+LensModel FromMrcal(const mrcal_lensmodel_t& model) {
+  LensModel m;
+  switch (model.type) {
+    case MRCAL_LENSMODEL_OPENCV4:
+      m.kind = LensModel::Kind::kOpenCv4;
+      return m;
+    case MRCAL_LENSMODEL_OPENCV5:
+      m.kind = LensModel::Kind::kOpenCv5;
+      return m;
+    case MRCAL_LENSMODEL_OPENCV8:
+      m.kind = LensModel::Kind::kOpenCv8;
+      return m;
+    case MRCAL_LENSMODEL_SPLINED_STEREOGRAPHIC: {
+      const auto& c = model.LENSMODEL_SPLINED_STEREOGRAPHIC__config;
+      m.kind = LensModel::Kind::kSplinedStereographic;
+      m.spline_order = c.order;
+      m.knots_x = c.Nx;
+      m.knots_y = c.Ny;
+      m.fov_x_deg = c.fov_x_deg;
+      return m;
+    }
+    default:
+      throw InputError("unsupported lens model");
+  }
+}
+
+}  // namespace internal
+
+std::string LensModel::Name() const {
+  switch (kind) {
+    case Kind::kOpenCv4:
+      return "LENSMODEL_OPENCV4";
+    case Kind::kOpenCv5:
+      return "LENSMODEL_OPENCV5";
+    case Kind::kOpenCv8:
+      return "LENSMODEL_OPENCV8";
+    case Kind::kSplinedStereographic:
+      break;
+  }
+  return "LENSMODEL_SPLINED_STEREOGRAPHIC_order=" + std::to_string(spline_order) +
+         "_Nx=" + std::to_string(knots_x) + "_Ny=" + std::to_string(knots_y) +
+         "_fov_x_deg=" + std::to_string(fov_x_deg);
+}
+
+LensModel LensModel::FromName(std::string_view name) {
+  std::string full(name);
+  if (full.rfind("LENSMODEL_", 0) != 0) {
+    // Upper case up to the configuration, whose keys (order, Nx, ...) keep theirs.
+    const std::size_t configuration = std::min(full.find("_order="), full.size());
+    std::transform(full.begin(), full.begin() + static_cast<std::ptrdiff_t>(configuration),
+                   full.begin(),
+                   [](unsigned char c) { return static_cast<char>(std::toupper(c)); });
+    full = "LENSMODEL_" + full;
+  }
+  mrcal_lensmodel_t m{};
+  const bool known = mrcal_lensmodel_from_name(&m, full.c_str());
+  const bool supported =
+      known &&
+      (m.type == MRCAL_LENSMODEL_OPENCV4 || m.type == MRCAL_LENSMODEL_OPENCV5 ||
+       m.type == MRCAL_LENSMODEL_OPENCV8 || m.type == MRCAL_LENSMODEL_SPLINED_STEREOGRAPHIC);
+  if (!supported) {
+    throw InputError("lens model '" + std::string(name) +
+                     "' is not supported; use OPENCV4, OPENCV5, OPENCV8 or "
+                     "SPLINED_STEREOGRAPHIC_order=3_Nx=16_Ny=11_fov_x_deg=80");
+  }
+  return internal::FromMrcal(m);
+}
+
+int LensModel::ParameterCount() const {
+  const mrcal_lensmodel_t m = internal::ToMrcal(*this);
+  return mrcal_lensmodel_num_params(&m);
+}
+
+struct Camera::Impl {
+  LensModel model;
+  ImageSize size;
+  Eigen::VectorXd parameters;
+  mrcal_lensmodel_t mrcal;
+  Chart chart;
+
+  bool Visible(const Eigen::Vector3d& p) const {
+    return p.allFinite() &&
+           (model.IsSplined() ? p.norm() > std::abs(p.z()) * (1 + 1e-12) || p.z() > 0 : p.z() > 0);
+  }
+
+  void ProjectChunk(std::span<const Eigen::Vector3d> points,
+                    std::span<Eigen::Vector2d> pixels) const {
+    std::array<mrcal_point3_t, kChunk> p{};
+    std::array<mrcal_point2_t, kChunk> q;
+    const std::size_t n = points.size();
+    for (std::size_t i = 0; i < n; ++i) {
+      const bool visible = Visible(points[i]);
+      p[i].x = visible ? points[i].x() : 0;
+      p[i].y = visible ? points[i].y() : 0;
+      p[i].z = visible ? points[i].z() : 1;
+    }
+    mrcal_project(q.data(), nullptr, nullptr, p.data(), static_cast<int>(n), &mrcal,
+                  parameters.data());
+    for (std::size_t i = 0; i < n; ++i) {
+      pixels[i] =
+          Visible(points[i]) ? Eigen::Vector2d(q[i].x, q[i].y) : Eigen::Vector2d(kNaN, kNaN);
+    }
+  }
+
+  // Newton's method on the chart, all points of a chunk in step; a point whose residual grows takes
+  // half the step.
+  void UnprojectChunk(std::span<const Eigen::Vector2d> pixels,
+                      std::span<Eigen::Vector3d> rays) const {
+    const std::size_t n = pixels.size();
+    std::array<Eigen::Vector2d, kChunk> u, step;
+    std::array<double, kChunk> error;
+    std::array<Eigen::Matrix<double, 3, 2>, kChunk> d_point_d_u;
+    std::array<mrcal_point3_t, kChunk> p{};
+    std::array<mrcal_point2_t, kChunk> q;
+    std::array<std::array<mrcal_point3_t, 2>, kChunk> dq_dp;
+    std::array<std::size_t, kChunk> active;
+    std::size_t active_count = 0;
+
+    for (std::size_t i = 0; i < n; ++i) {
+      rays[i].setConstant(kNaN);
+      if (!pixels[i].allFinite()) continue;
+      u[i] = Eigen::Vector2d((pixels[i].x() - parameters[2]) / parameters[0],
+                             (pixels[i].y() - parameters[3]) / parameters[1]);
+      step[i].setZero();
+      error[i] = std::numeric_limits<double>::infinity();
+      active[active_count++] = i;
+    }
+    for (int iteration = 0; iteration < kMaxNewtonSteps && active_count > 0; ++iteration) {
+      for (std::size_t a = 0; a < active_count; ++a)
+        p[a] = chart.Point(u[active[a]], &d_point_d_u[a]);
+      // One call a point: libmrcal 2.2 fills only the first gradient of several when those of the
+      // intrinsics are not wanted.
+      for (std::size_t a = 0; a < active_count; ++a) {
+        mrcal_project(&q[a], dq_dp[a].data(), nullptr, &p[a], 1, &mrcal, parameters.data());
+      }
+      std::size_t kept = 0;
+      for (std::size_t a = 0; a < active_count; ++a) {
+        const std::size_t i = active[a];
+        const Eigen::Vector2d residual = pixels[i] - Eigen::Vector2d(q[a].x, q[a].y);
+        const double residual_norm = residual.norm();
+        Eigen::Matrix<double, 2, 3> g;
+        g << dq_dp[a][0].x, dq_dp[a][0].y, dq_dp[a][0].z, dq_dp[a][1].x, dq_dp[a][1].y,
+            dq_dp[a][1].z;
+        const Eigen::Matrix2d jacobian = g * d_point_d_u[a];
+        const double determinant = jacobian.determinant();
+        if (residual_norm < kUnprojectTolerance_px) {
+          // A mirrored neighbourhood is the far side of a fold, not the lens.
+          if (determinant > 0) rays[i] = Eigen::Vector3d(p[a].x, p[a].y, p[a].z).normalized();
+          continue;
+        }
+        if (!std::isfinite(residual_norm) || residual_norm >= error[i] || !(determinant > 0)) {
+          step[i] *= 0.5;  // the last step went too far
+          u[i] -= step[i];
+          if (step[i].norm() < 1e-15) continue;
+        } else {
+          error[i] = residual_norm;
+          step[i] = jacobian.inverse() * residual;
+          u[i] += step[i];
+        }
+        active[kept++] = i;
+      }
+      active_count = kept;
+    }
+  }
+};
+
+Camera::Camera(const LensModel& model, ImageSize size, Eigen::VectorXd parameters) {
+  const int expected = model.ParameterCount();
+  if (parameters.size() != expected) {
+    throw std::invalid_argument("camera: " + model.Name() + " has " + std::to_string(expected) +
+                                " parameters, not " + std::to_string(parameters.size()));
+  }
+  if (!parameters.allFinite())
+    throw std::invalid_argument("camera: a parameter is not a finite number");
+  if (!(parameters[0] > 0 && parameters[1] > 0)) {
+    throw std::invalid_argument("camera: the focal lengths must be positive");
+  }
+  if (size.width <= 0 || size.height <= 0)
+    throw std::invalid_argument("camera: the image size must be positive");
+  const mrcal_lensmodel_t m = internal::ToMrcal(model);
+  impl_ = std::make_shared<const Impl>(
+      Impl{model, size, std::move(parameters), m, Chart{model.IsSplined()}});
+}
+
+const LensModel& Camera::model() const { return impl_->model; }
+ImageSize Camera::size() const { return impl_->size; }
+const Eigen::VectorXd& Camera::parameters() const { return impl_->parameters; }
+
+Camera Camera::WithParameters(Eigen::VectorXd parameters) const {
+  return Camera(impl_->model, impl_->size, std::move(parameters));
+}
+
+Eigen::Vector2d Camera::Project(const Eigen::Vector3d& point_mm) const {
+  Eigen::Vector2d pixel;
+  impl_->ProjectChunk({&point_mm, 1}, {&pixel, 1});
+  return pixel;
+}
+
+Camera::Projection Camera::ProjectWithJacobians(const Eigen::Vector3d& point_mm) const {
+  Projection out;
+  DenseJacobian d_parameters(2, parameter_count());
+  if (!impl_->Visible(point_mm)) {
+    out.pixel.setConstant(kNaN);
+    out.d_pixel_d_point.setConstant(kNaN);
+    out.d_pixel_d_parameters = DenseJacobian::Constant(2, parameter_count(), kNaN);
+    return out;
+  }
+  const mrcal_point3_t p = {{point_mm.x(), point_mm.y(), point_mm.z()}};
+  mrcal_point2_t q;
+  std::array<mrcal_point3_t, 2> dq_dp;
+  d_parameters.setZero();  // libmrcal leaves the entries that a spline patch does not touch
+  mrcal_project(&q, dq_dp.data(), d_parameters.data(), &p, 1, &impl_->mrcal, parameters().data());
+  out.pixel << q.x, q.y;
+  out.d_pixel_d_point << dq_dp[0].x, dq_dp[0].y, dq_dp[0].z, dq_dp[1].x, dq_dp[1].y, dq_dp[1].z;
+  out.d_pixel_d_parameters = d_parameters;
+  return out;
+}
+
+namespace {
+
+// Runs f(first, count) over [0, n) in chunks, in parallel where there are enough of them.
+template <typename F>
+void ForEachChunk(std::size_t n, const F& f) {
+  const auto range = [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; i += kChunk) f(i, std::min(kChunk, end - i));
+  };
+  if (n < kParallelGrain) {
+    range(0, n);
+    return;
+  }
+  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, (n + kChunk - 1) / kChunk, 8),
+                    [&](const tbb::blocked_range<std::size_t>& r) {
+                      range(r.begin() * kChunk, std::min(n, r.end() * kChunk));
+                    });
+}
+
+}  // namespace
+
+void Camera::Project(std::span<const Eigen::Vector3d> points_mm,
+                     std::span<Eigen::Vector2d> pixels) const {
+  ForEachChunk(points_mm.size(), [&](std::size_t first, std::size_t count) {
+    impl_->ProjectChunk(points_mm.subspan(first, count), pixels.subspan(first, count));
+  });
+}
+
+Eigen::Vector3d Camera::Unproject(const Eigen::Vector2d& pixel) const {
+  Eigen::Vector3d ray;
+  impl_->UnprojectChunk({&pixel, 1}, {&ray, 1});
+  return ray;
+}
+
+Camera::Unprojection Camera::UnprojectWithJacobians(const Eigen::Vector2d& pixel) const {
+  Unprojection out;
+  out.ray = Unproject(pixel);
+  if (!out.ray.allFinite()) {
+    out.d_ray_d_pixel.setConstant(kNaN);
+    out.d_ray_d_parameters = Eigen::MatrixXd::Constant(3, parameter_count(), kNaN);
+    return out;
+  }
+  const Projection at = ProjectWithJacobians(out.ray);
+  const Eigen::Matrix<double, 2, 3>& G = at.d_pixel_d_point;
+  out.d_ray_d_pixel = G.transpose() * (G * G.transpose()).inverse();
+  out.d_ray_d_parameters = -out.d_ray_d_pixel * at.d_pixel_d_parameters;
+  return out;
+}
+
+void Camera::Unproject(std::span<const Eigen::Vector2d> pixels,
+                       std::span<Eigen::Vector3d> rays) const {
+  ForEachChunk(pixels.size(), [&](std::size_t first, std::size_t count) {
+    impl_->UnprojectChunk(pixels.subspan(first, count), rays.subspan(first, count));
+  });
+}
+
+double Camera::NonInvertibleShare(int step_px) const {
+  std::vector<Eigen::Vector2d> pixels;
+  for (int y = 0; y < size().height; y += step_px) {
+    for (int x = 0; x < size().width; x += step_px) pixels.emplace_back(x, y);
+  }
+  std::vector<Eigen::Vector3d> rays(pixels.size());
+  Unproject(pixels, rays);
+  const auto bad = std::count_if(rays.begin(), rays.end(),
+                                 [](const Eigen::Vector3d& r) { return !r.allFinite(); });
+  return static_cast<double>(bad) / static_cast<double>(pixels.size());
+}
+
+}  // namespace plumbline
