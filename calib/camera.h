@@ -93,6 +93,12 @@ class Camera {
   // Many pixels at once, as Project().
   void Unproject(std::span<const Eigen::Vector2d> pixels, std::span<Eigen::Vector3d> rays) const;
 
+  // The same with d ray/d pixel (1 / px) of each, NaN where there is no ray. All spans are of one
+  // size; the rays are those of Unproject() to the bit.
+  void UnprojectWithPixelJacobians(std::span<const Eigen::Vector2d> pixels,
+                                   std::span<Eigen::Vector3d> rays,
+                                   std::span<Eigen::Matrix<double, 3, 2>> d_ray_d_pixel) const;
+
   bool Contains(const Eigen::Vector2d& pixel) const {
     return pixel.x() >= -0.5 && pixel.y() >= -0.5 && pixel.x() <= size().width - 0.5 &&
            pixel.y() <= size().height - 0.5;
