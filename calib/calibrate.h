@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <utility>
 #include <vector>
 
 #include "calib/board.h"
@@ -106,6 +107,9 @@ struct ModelScore {
 };
 
 struct Calibration {
+  Calibration(BoardSpec board_spec, CalibrationOptions used_options, StereoRig stereo_rig)
+      : board(std::move(board_spec)), options(std::move(used_options)), rig(std::move(stereo_rig)) {}
+
   BoardSpec board;
   CalibrationOptions options;
   StereoRig rig;  // with modes
