@@ -4,6 +4,9 @@
 # calib <- match <- fit <- track <- io <- apps; `theirs` stay private, so that a user of the library sees only std and Eigen.
 function(plumbline_warnings target)
   target_compile_options(${target} PRIVATE -Wall -Wextra -Wconversion -Werror)
+  if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
+    target_compile_options(${target} PRIVATE -Wno-restrict)  # false alarms in std::string of g++ 12 (GCC bug 105651)
+  endif()
   if(PLUMBLINE_SANITIZE)
     target_compile_options(${target} PRIVATE -fsanitize=${PLUMBLINE_SANITIZE} -fno-sanitize-recover=undefined
                                              -fno-omit-frame-pointer -g1)
