@@ -1,0 +1,27 @@
+#include <stdexcept>
+
+#include "calib/board.h"
+#include "calib/internal/detect_families.h"
+
+namespace plumbline {
+
+BoardDetection DetectBoard(const BoardSpec& spec, const GrayImage& image) {
+  if (image.grey.empty() || image.bits < 8 || image.bits > 16) {
+    throw std::invalid_argument("DetectBoard: needs an image of 8 to 16 bits");
+  }
+  switch (spec.kind) {
+    case BoardSpec::Kind::kChessboard:
+      return internal::DetectChessboard(spec, image);
+    case BoardSpec::Kind::kAsymmetricCircles:
+    case BoardSpec::Kind::kCircles:
+      return internal::DetectCircles(spec, image);
+    case BoardSpec::Kind::kDonutDots:
+      return internal::DetectDonutDots(spec, image);
+    case BoardSpec::Kind::kCharuco:
+    case BoardSpec::Kind::kAprilGrid:
+      break;
+  }
+  throw std::invalid_argument("DetectBoard: no detector for this kind of board");
+}
+
+}  // namespace plumbline
