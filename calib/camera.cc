@@ -369,6 +369,24 @@ void Camera::Project(std::span<const Eigen::Vector3d> points_mm,
   });
 }
 
+void Camera::ProjectWithPointJacobians(
+    std::span<const Eigen::Vector3d> points_mm, std::span<Eigen::Vector2d> pixels,
+    std::span<Eigen::Matrix<double, 2, 3>> d_pixel_d_point) const {
+  ForEachChunk(points_mm.size(), [&](std::size_t first, std::size_t count) {
+    for (std::size_t i = first; i < first + count; ++i) {
+      const Eigen::Vector3d& p = points_mm[i];
+      if (!impl_->Visible(p)) {
+        pixels[i].setConstant(kNaN);
+        d_pixel_d_point[i].setConstant(kNaN);
+        continue;
+      }
+      mrcal_point2_t q;
+      d_pixel_d_point[i] = impl_->Gradient({{p.x(), p.y(), p.z()}}, &q);
+      pixels[i] << q.x, q.y;
+    }
+  });
+}
+
 Eigen::Vector3d Camera::Unproject(const Eigen::Vector2d& pixel) const {
   Eigen::Vector3d ray;
   impl_->UnprojectChunk({&pixel, 1}, {&ray, 1});

@@ -77,6 +77,11 @@ class Camera {
   // inputs.
   void Project(std::span<const Eigen::Vector3d> points_mm, std::span<Eigen::Vector2d> pixels) const;
 
+  // The same with d pixel/d point (px / mm) of each; all NaN where a point cannot be seen.
+  void ProjectWithPointJacobians(std::span<const Eigen::Vector3d> points_mm,
+                                 std::span<Eigen::Vector2d> pixels,
+                                 std::span<Eigen::Matrix<double, 2, 3>> d_pixel_d_point) const;
+
   // The unit viewing ray of a pixel. NaN where the model cannot be inverted (the distortion folds
   // over) or the solve does not reach 1e-9 px.
   Eigen::Vector3d Unproject(const Eigen::Vector2d& pixel) const;
