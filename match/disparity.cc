@@ -23,10 +23,10 @@ using internal::RefineOutcome;
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 
 // A blob of fewer pixels, cut off from its surroundings by a step of more than 1 px, is no surface.
-constexpr int kSmallestPatchPx = 60;
+constexpr int kSmallestPatchPx = 200;
 constexpr double kPatchStepPx = 1;
 // Windows correlating less than this are unlike, whatever the matcher says ...
-constexpr float kLeastCorrelation = 0.5F;
+constexpr float kLeastCorrelation = 0.7F;
 // ... and where the grey values decide less than this share of the value, there is no texture.
 constexpr float kLeastDataShare = 0.3F;
 constexpr int kLargestDisparityCount = 2032;  // OpenCV keeps 16 steps a px in 16 bits
@@ -128,22 +128,23 @@ Image<float> CheckedStart(const cv::Mat1s& from_left, const cv::Mat1s& from_righ
 }
 
 // Drops small isolated patches, which agree left to right by chance (repeated texture).
-void DropSmallPatches(Image<float>* start, const DisparityRange& range, DisparityMap* map) {
-  cv::Mat1s steps(start->height(), start->width());
+void DropSmallPatches(const DisparityRange& range, DisparityMap* map) {
+  const Image<float>& value = map->value_px;
+  cv::Mat1s steps(value.height(), value.width());
   constexpr short kNone = -32000;
+  const auto base = static_cast<float>(range.minimum_px);
   for (int y = 0; y < steps.rows; ++y) {
     for (int x = 0; x < steps.cols; ++x) {
-      const float d = (*start)(y, x);
-      steps(y, x) = std::isfinite(d)
-                        ? cv::saturate_cast<short>(16 * (d - static_cast<float>(range.minimum_px)))
+      steps(y, x) = map->status(y, x) == Status::kOk
+                        ? cv::saturate_cast<short>(16 * (value(y, x) - base))
                         : kNone;
     }
   }
   cv::filterSpeckles(steps, kNone, kSmallestPatchPx, 16 * kPatchStepPx);
   for (int y = 0; y < steps.rows; ++y) {
     for (int x = 0; x < steps.cols; ++x) {
-      if (steps(y, x) != kNone || !std::isfinite((*start)(y, x))) continue;
-      (*start)(y, x) = kNaN;
+      if (steps(y, x) != kNone || map->status(y, x) != Status::kOk) continue;
+      map->value_px(y, x) = map->sigma_px(y, x) = kNaN;
       map->status(y, x) = Status::kFailedVerification;
     }
   }
@@ -228,14 +229,14 @@ DisparityMap ComputeDisparity(const GrayImage& left_rectified, const GrayImage& 
 
   const cv::Mat1s from_left = internal::MatchDense(left, right, range, options);
   const cv::Mat1s from_right = internal::MatchDenseFromRight(left, right, range, options);
-  Image<float> start = CheckedStart(from_left, from_right, range, options.left_right_tolerance_px,
-                                    left_valid, right_valid, &map);
-  DropSmallPatches(&start, range, &map);
+  const Image<float> start = CheckedStart(
+      from_left, from_right, range, options.left_right_tolerance_px, left_valid, right_valid, &map);
   const RefinedDisparity refined = internal::RefineDisparity(left_rectified, right_rectified, start,
                                                              options.refinement_radius_px);
   const Image<float> sigma =
       internal::DisparitySigma(refined, left_rectified, options.refinement_radius_px);
   Deliver(refined, sigma, &map);
+  DropSmallPatches(range, &map);
   return map;
 }
 

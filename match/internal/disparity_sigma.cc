@@ -27,6 +27,7 @@ std::vector<Sample> ResidualSamples(const RefinedDisparity& refined, const GrayI
   std::vector<Sample> samples;
   for (int y = 1; y + 1 < left.height(); y += 2) {
     for (int x = 1; x + 1 < left.width(); ++x) {
+      if (refined.outcome(y, x) != RefineOutcome::kRefined) continue;
       if (!(refined.correlation(y, x) > kAlike)) continue;
       const auto e = static_cast<double>(refined.residual_grey(y, x));
       const auto gx = static_cast<double>(HorizontalGradient(left.grey, x, y));
@@ -100,6 +101,7 @@ double VerticalMisfit(const RefinedDisparity& refined, const GrayImage& left) {
   // residual^2 = noise^2 + gx^2 a + gy^2 b, reweighted by the fitted value; what is 3 sigma off is
   // no noise.
   Eigen::Vector3d fit(floor, 0.05, 0.05);
+  double sigma_fit = 0;
   for (int pass = 0; pass < 6; ++pass) {
     Eigen::Matrix3d N = Eigen::Matrix3d::Zero();
     Eigen::Vector3d b = Eigen::Vector3d::Zero();
@@ -115,8 +117,10 @@ double VerticalMisfit(const RefinedDisparity& refined, const GrayImage& left) {
     if (!ldlt.isPositive()) return 0;
     fit = ldlt.solve(b);
     if (!fit.allFinite()) return 0;
+    // A squared normal deviate of mean m has the variance 2 m^2.
+    sigma_fit = std::sqrt(2 * ldlt.solve(Eigen::Vector3d::Unit(2))[2]);
   }
-  return std::max(0.0, fit[2]);
+  return std::max(0.0, fit[2] - 3 * sigma_fit);  // only what stands out of its own noise
 }
 
 Image<float> DisparitySigma(const RefinedDisparity& refined, const GrayImage& left, int radius_px) {
