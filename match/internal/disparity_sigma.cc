@@ -30,6 +30,7 @@ std::vector<Sample> ResidualSamples(const RefinedDisparity& refined, const GrayI
       if (refined.outcome(y, x) != RefineOutcome::kRefined) continue;
       if (!(refined.correlation(y, x) > kAlike)) continue;
       const auto e = static_cast<double>(refined.residual_grey(y, x));
+      if (!std::isfinite(e)) continue;
       const auto gx = static_cast<double>(HorizontalGradient(left.grey, x, y));
       const auto gy = static_cast<double>(VerticalGradient(left.grey, x, y));
       samples.push_back({e * e, gx * gx, gy * gy});

@@ -19,7 +19,8 @@ constexpr float kSameSurfacePx = 1.5F;  // plus the slope of the surface
 constexpr double kStartSigmaPx = 0.5;   // of the dense matcher's disparity
 constexpr double kSlopeSigma = 0.15;    // of the slope taken from the dense matcher
 constexpr int kIterations = 6;
-constexpr double kConvergedPx = 0.003;
+constexpr double kConvergedPx = 0.01;     // step at which a window stops: convergence is fast ...
+constexpr double kAcceptedStepPx = 0.05;  // ... and that at which it still counts when time is up
 constexpr double kLargestShiftPx = 1.0;
 constexpr int kFewestSamples = 12;
 constexpr double kBorderPx = 3;  // of the right image that no sample may start in
@@ -214,78 +215,90 @@ Plane Compose(const Plane& p, const Eigen::Vector3d& delta) {
   return {p.d + a * delta[0], 1 - a, p.dy + a * delta[2]};
 }
 
+// What stays the same while a window iterates.
+struct WindowSystem {
+  WindowSystem(const Window& window, float mean_grey)
+      : mean(mean_grey), N(NormalMatrix(window, mean_grey)) {
+    N.diagonal() *= 1 + 1e-6;  // beyond rounding: gain and disparity may be one on a bare ramp
+    free_solver.compute(N);
+  }
+  bool HasContrast() const { return N(0, 0) > 0 && N(3, 3) > 0; }
+  float mean;
+  Matrix5 N;
+  Eigen::LLT<Matrix5> free_solver;
+};
+
+// One step of `plane`, whose samples are in window.right, and everything that it says about the
+// pixel. The residuals' own variance sets the weight of the prior. Infinite when the step fails.
+double GaussNewtonStep(const WindowSystem& system, const Window& window, const Plane& start,
+                       Plane* plane, PixelResult* result) {
+  const RightHandSide rhs = Residuals(window, system.mean);
+  const Vector5 free_fit = system.free_solver.solve(rhs.b);
+  const double gain = std::clamp(1 - free_fit[3], 0.2, 5.0);
+  // No residual is below the rounding of both images.
+  const double noise2 =
+      std::max(2.0 / 12, (rhs.squares - free_fit.dot(rhs.b)) / (window.count - 5));
+  Matrix5 A = system.N;
+  Vector5 b = rhs.b;
+  const Eigen::Vector3d moved(plane->d - start.d, plane->dx - start.dx, plane->dy - start.dy);
+  for (int i = 0; i < 3; ++i) {
+    const double sigma = i == 0 ? kStartSigmaPx : kSlopeSigma;
+    const double weight = noise2 / (sigma * sigma * gain * gain);
+    A(i, i) += weight;
+    b[i] += weight * gain * moved[i];
+  }
+  const Eigen::LLT<Matrix5> solver(A);
+  const Eigen::Vector3d delta = -solver.solve(b).head<3>() / gain;
+  if (!delta.allFinite() || !(delta[1] > -0.5)) return std::numeric_limits<double>::infinity();
+  *plane = Compose(*plane, delta);
+  // The gradients' own noise makes the normal matrix look stronger than it is: what weighs is the
+  // product of measured and true gradient, the variance rises by the square of the ratio.
+  const double variance = noise2 / (gain * gain) * solver.solve(Vector5::Unit(0))[0];
+  const double gradient_noise =
+      kGradientNoiseGain * window.count * noise2 / (1 + gain * gain) / system.N(0, 0);
+  result->gradient_noise_share = gradient_noise;
+  result->data_share = 1 - variance / (kStartSigmaPx * kStartSigmaPx);
+  result->variance = variance / std::pow(1 - std::min(gradient_noise, 0.9), 2);
+  result->noise = std::sqrt(noise2);
+  return std::abs(delta[0]);
+}
+
+// left - right at the centre, less its mean over the window; NaN where the centre is left out.
+double CentreResidual(const Window& window) {
+  double centre = std::numeric_limits<double>::quiet_NaN(), sum = 0;
+  for (int i = 0; i < window.count; ++i) {
+    const auto k = static_cast<std::size_t>(i);
+    const auto e = static_cast<double>(window.grey[k] - window.right[k]);
+    sum += e;
+    if (window.xi[k] == 0 && window.eta[k] == 0) centre = e;
+  }
+  return centre - sum / window.count;
+}
+
 PixelResult RefinePixel(const Images& images, int x, const Plane& start, Window* window) {
   PixelResult result;
   result.value = start.d;
   if (window->count < kFewestSamples) return result;
-  const float mean = Mean(*window);
-  const Matrix5 N = NormalMatrix(*window, mean);
-  if (!(N(0, 0) > 0) || !(N(3, 3) > 0)) return result;
+  const WindowSystem system(*window, Mean(*window));
+  if (!system.HasContrast()) return result;
   result.outcome = RefineOutcome::kStayed;
   Plane plane = start;
-  bool converged = false;
-  double noise2 = 0;
-  double last_step = 1e9;
-  for (int iteration = 0; iteration < kIterations; ++iteration) {
+  double step = std::numeric_limits<double>::infinity();
+  for (int iteration = 0; iteration < kIterations && !(step < kConvergedPx); ++iteration) {
     if (!SampleRight(images, x, plane, window)) return result;
     if (iteration == 0) result.correlation = Correlation(*window);
-    const RightHandSide rhs = Residuals(*window, mean);
-    // The noise of the residuals sets the weight of the prior; a floor of the rounding of both.
-    const Matrix5 ridge = N + 1e-6 * Matrix5(N.diagonal().asDiagonal());
-    const Vector5 free_fit = ridge.llt().solve(rhs.b);
-    const double gain = std::clamp(1 - free_fit[3], 0.2, 5.0);
-    noise2 = std::max(2.0 / 12, (rhs.squares - free_fit.dot(rhs.b)) / (window->count - 5));
-    Matrix5 A = ridge;
-    Vector5 b = rhs.b;
-    const Eigen::Vector3d moved(plane.d - start.d, plane.dx - start.dx, plane.dy - start.dy);
-    for (int i = 0; i < 3; ++i) {
-      const double sigma = i == 0 ? kStartSigmaPx : kSlopeSigma;
-      const double weight = noise2 / (sigma * sigma * gain * gain);
-      A(i, i) += weight;
-      b[i] += weight * gain * moved[i];
-    }
-    const Eigen::LLT<Matrix5> llt(A);
-    const Vector5 k = llt.solve(b);
-    const Eigen::Vector3d delta = -k.head<3>() / gain;
-    if (!delta.allFinite() || !(delta[1] > -0.5)) return result;
-    plane = Compose(plane, delta);
-    if (!(std::abs(plane.d - start.d) <= kLargestShiftPx)) return result;
-    last_step = std::abs(delta[0]);
-    const Vector5 e0 = llt.solve(Vector5::Unit(0));
-    result.variance = noise2 / (gain * gain) * e0[0];
-    result.data_share = 1 - result.variance / (kStartSigmaPx * kStartSigmaPx);
-    // The gradients' own noise makes the normal matrix look stronger than it is: what weighs is the
-    // product of measured and true gradient, the variance rises by the square of the ratio.
-    const double gradient_noise =
-        kGradientNoiseGain * window->count * noise2 / (1 + gain * gain) / N(0, 0);
-    result.gradient_noise_share = gradient_noise;
-    if (gradient_noise > kLargestGradientNoiseShare) {
+    step = GaussNewtonStep(system, *window, start, &plane, &result);
+    if (result.gradient_noise_share > kLargestGradientNoiseShare) {
       result.outcome = RefineOutcome::kTextureless;
       return result;
     }
-    result.variance /= (1 - gradient_noise) * (1 - gradient_noise);
-    if (last_step < kConvergedPx) {
-      converged = true;
-      break;
-    }
+    if (!(std::abs(plane.d - start.d) <= kLargestShiftPx)) return result;
   }
-  if (!converged && last_step > 0.05) return result;
+  if (!(step < kAcceptedStepPx)) return result;
   result.outcome = RefineOutcome::kRefined;
   result.value = plane.d;
-  result.noise = std::sqrt(noise2);
   result.correlation = Correlation(*window);
-  for (int i = 0; i < window->count; ++i) {
-    const auto k = static_cast<std::size_t>(i);
-    if (window->xi[k] == 0 && window->eta[k] == 0) {
-      result.residual = static_cast<double>(window->grey[k] - window->right[k]);
-    }
-  }
-  double offset = 0;
-  for (int i = 0; i < window->count; ++i) {
-    const auto k = static_cast<std::size_t>(i);
-    offset += static_cast<double>(window->grey[k] - window->right[k]);
-  }
-  result.residual -= offset / window->count;
+  result.residual = CentreResidual(*window);
   return result;
 }
 
