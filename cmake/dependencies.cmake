@@ -38,3 +38,8 @@ target_link_libraries(plumbline_pcl INTERFACE pcl_common pcl_sample_consensus)
 add_library(plumbline_opencv INTERFACE)
 target_include_directories(plumbline_opencv SYSTEM INTERFACE ${OpenCV_INCLUDE_DIRS})
 target_link_libraries(plumbline_opencv INTERFACE ${OpenCV_LIBS})
+
+# hdf5_hl holds the dimension scales; pkg-config does not list it.
+find_library(HDF5_HL_LIBRARY hdf5_hl HINTS ${HDF5_LIBRARY_DIRS} REQUIRED)
+add_library(plumbline_hdf5 INTERFACE)
+target_link_libraries(plumbline_hdf5 INTERFACE ${HDF5_HL_LIBRARY} PkgConfig::HDF5)

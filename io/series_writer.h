@@ -1,10 +1,10 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstdint>
 #include <filesystem>
-#include <map>
+#include <limits>
 #include <memory>
-#include <optional>
 #include <string>
 #include <vector>
 
@@ -12,8 +12,12 @@
 #include "calib/rigid3.h"
 #include "calib/status.h"
 #include "calib/stereo_rig.h"
+#include "io/rig_file.h"
 
 namespace plumbline {
+
+// The frame that a surface's positions are given in.
+enum class SurfaceFrame : std::uint8_t { kRig = 0, kGround };
 
 // The surface at the points of a grid in the left image, as /surface of the series holds it. All of
 // one size (rows, columns). Values in `frame`; NaN where status is not kOk.
@@ -25,19 +29,43 @@ struct Surface {
   Image<float> correlation;  // NaN where the matcher has none
   Image<float> epipolar_px;
   Image<Status> status;
+  SurfaceFrame frame = SurfaceFrame::kRig;
+  // Optional (SeriesHeader::has_covariance): random covariance, mm^2, order xx xy xz yy yz zz.
+  Image<Eigen::Matrix<float, 6, 1>> cov_random_mm2;
 };
 
-// The ground plane of one frame, as /ground holds it.
+// The ground plane of one frame, as /ground holds it: normal . point = offset, in the rig frame.
 struct GroundRecord {
   bool found = false;
   std::string problem;  // why not
-  Eigen::Vector3d normal_in_rig;
-  double offset_mm = 0;
-  Eigen::Matrix3d cov_random, cov_calibration;  // order and units of GroundPlane::cov
+  Eigen::Vector3d normal_in_rig = Eigen::Vector3d::Constant(kNotMeasured);
+  double offset_mm = kNotMeasured;
+  // Order and units of GroundPlane::cov: rotation of the normal about e1 and about e2 (rad), offset
+  // along the normal at the centroid (mm).
+  Eigen::Matrix3d cov_random = Eigen::Matrix3d::Constant(kNotMeasured);
+  Eigen::Matrix3d cov_calibration = Eigen::Matrix3d::Constant(kNotMeasured);
   Rigid3 ground_from_rig;
-  double rms_mm = 0;
-  double inlier_fraction = 0;
+  double rms_mm = kNotMeasured;
+  double inlier_fraction = kNotMeasured;
+  // The basis of the covariances, and where their offset is meant. Without them the errors of the
+  // angles are NaN.
+  Eigen::Vector3d e1_in_rig = Eigen::Vector3d::Constant(kNotMeasured);
+  Eigen::Vector3d e2_in_rig = Eigen::Vector3d::Constant(kNotMeasured);
+  Eigen::Vector3d centroid_in_rig_mm = Eigen::Vector3d::Constant(kNotMeasured);
+
+  static constexpr double kNotMeasured = std::numeric_limits<double>::quiet_NaN();
 };
+
+// How the rig stands over the ground, from the normal n (towards the rig, so n_z < 0 seen by it):
+//   [0] tilt about the rig's x axis, atan2(n_y, -n_z)
+//   [1] tilt about the rig's y axis, atan2(-n_x, -n_z)
+//   [2] angle between the ground's normal and the optical axis, atan2(|(n_x, n_y)|, -n_z)
+// all 0 where the left camera looks straight down.
+struct GroundAngles {
+  Eigen::Vector3d angle_rad;
+  Eigen::Vector3d sigma_random_rad, sigma_calibration_rad;
+};
+GroundAngles AnglesOf(const GroundRecord& ground);
 
 struct SeriesFrame {
   std::int64_t index = 0;
@@ -45,7 +73,7 @@ struct SeriesFrame {
   std::string left_id, right_id;
   std::string problem;  // empty, or why this frame has no surface
   int dropped_before = 0;
-  Surface surface;
+  Surface surface;  // empty images where there is a problem
   GroundRecord ground;
 };
 
@@ -56,21 +84,55 @@ struct SeriesHeader {
   int subset_px = 0;        // the matcher's window
   std::string recipe_toml;  // full, defaults filled in
   std::vector<std::filesystem::path> inputs;
+  RigFileExtras rig_extras;  // what else /rig is to hold
+  bool has_covariance = false;
 };
 
-// Writes one run. Frames are committed one by one; Close() finishes the file, written under a
-// temporary name and renamed. Throws EnvironmentError naming the file (folder not writable, disk
-// full).
+// Writes one run.
+//
+// While it goes on, everything lies in the folder `<file>.parts`: header.h5, and a journal in which
+// each frame is written, checksummed and forced to the disk before Commit() returns. Close() packs
+// both into `file` (temporary name, fsync, rename) and removes the folder. A run that is killed, or
+// meets a full disk, loses no committed frame: RecoverSeries() packs what is there. Memory is that
+// of one frame, whatever the length of the run.
+//
+// Positions, sigmas and covariances of points whose status is not kOk are written as NaN; a point
+// that claims kOk without a finite position is written as failed_verification.
+//
+// Not thread-safe (one writer, one thread); packs a frame with all of TBB's threads.
 class SeriesWriter {
  public:
+  // Throws EnvironmentError naming the folder or file (not writable, disk full), InputError when
+  // an unfinished run of the same name is there, std::invalid_argument when the grid is empty.
   SeriesWriter(const std::filesystem::path& file, const SeriesHeader& header);
+
+  // Without Close(): keeps the parts for RecoverSeries() if a frame was committed.
   ~SeriesWriter();
+  SeriesWriter(const SeriesWriter&) = delete;
+  SeriesWriter& operator=(const SeriesWriter&) = delete;
+
+  // Throws EnvironmentError (disk full; earlier frames stay), std::invalid_argument when the
+  // surface is not of the grid's size.
   void Commit(const SeriesFrame& frame);
+
+  std::int64_t committed() const;
+
+  // Throws EnvironmentError; the parts then stay.
   void Close();
 
  private:
   struct Impl;
   std::unique_ptr<Impl> impl_;
 };
+
+struct RecoveredSeries {
+  std::int64_t frames = 0;
+  // Bytes after the last whole frame: of one that was being written when the run ended.
+  std::int64_t bytes_dropped = 0;
+};
+
+// Packs what a killed run left in `<file>.parts` into `file`. Throws InputError when there is
+// nothing to recover or the run is still going on, EnvironmentError as Close().
+RecoveredSeries RecoverSeries(const std::filesystem::path& file);
 
 }  // namespace plumbline

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <array>
+#include <string_view>
+#include <vector>
+
+#include "io/internal/hdf5.h"
+#include "io/series_writer.h"
+
+namespace plumbline::internal {
+
+// Writes /frames and /ground, one row a frame; the frames' images are not looked at. `has_surface`
+// tells for each frame whether the file holds points. Throws hdf5::Error.
+void WriteFrameTables(hid_t file, const std::vector<SeriesFrame>& frames,
+                      const std::vector<std::uint8_t>& has_surface);
+
+// A dataset of bytes with names, and the names as attributes that other conventions know (CF:
+// flag_values, flag_meanings).
+hdf5::Id CreateEnumDataset(hid_t file, const hdf5::DatasetSpec& spec,
+                           std::span<const std::string_view> names, std::uint8_t fill);
+
+inline constexpr std::array<std::string_view, 2> kFrameStatusNames = {"ok", "no_surface"};
+inline constexpr std::array<std::string_view, 2> kSurfaceFrameNames = {"rig", "ground"};
+inline constexpr std::array<std::string_view, 2> kGroundStatusNames = {"ok", "not_found"};
+
+}  // namespace plumbline::internal

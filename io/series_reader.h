@@ -1,0 +1,46 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <memory>
+#include <string>
+
+#include "io/series_writer.h"
+
+namespace plumbline {
+
+// What the file says about itself.
+struct SeriesFacts {
+  std::string created;   // ISO 8601, UTC
+  std::string software;  // that wrote it
+  std::string recipe_toml;
+  std::string inputs_json;  // [{"path", "size", "sha256"}]
+};
+
+// Reads a series, also one that is not ours: nothing in the file can make it read another file, and
+// sizes are checked before memory is taken.
+//
+// Not thread-safe.
+class SeriesReader {
+ public:
+  // Throws InputError naming the file and what is missing or wrong in it.
+  explicit SeriesReader(const std::filesystem::path& file);
+  ~SeriesReader();
+
+  const SeriesFacts& facts() const;
+  StereoRig rig() const;
+  Image<Eigen::Vector2f> grid_px() const;
+  int step_px() const;
+  int subset_px() const;
+  std::int64_t frame_count() const;
+
+  // Frame i of the file, 0 <= i < frame_count(). Its surface is empty where it has a problem.
+  // Memory: that of one frame. Throws InputError, std::out_of_range.
+  SeriesFrame Frame(std::int64_t i) const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace plumbline

@@ -1,0 +1,419 @@
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+#include <hdf5.h>
+#include <signal.h>
+#include <sys/resource.h>
+#include <sys/wait.h>
+#include <unistd.h>
+
+#include <fstream>
+#include <random>
+
+#include "calib/error.h"
+#include "io/series_reader.h"
+#include "io/series_writer.h"
+#include "tests/io/series_fixture.h"
+#include "tests/support/numeric_jacobian.h"
+#include "tests/support/shared_data.h"
+
+namespace plumbline {
+namespace {
+namespace fs = std::filesystem;
+using ::testing::HasSubstr;
+using testing::SmallFrame;
+using testing::SmallHeader;
+using testing::TestFolder;
+
+template <typename Element>
+void ExpectSameBits(const Image<Element>& a, const Image<Element>& b) {
+  ASSERT_EQ(a.size(), b.size());
+  EXPECT_EQ(std::memcmp(a.data(), b.data(), a.pixel_count() * sizeof(Element)), 0);
+}
+
+// Compares through a NaN mask, since NaN patterns may differ.
+void ExpectSameFrame(const SeriesFrame& a, const SeriesFrame& b) {
+  EXPECT_EQ(a.index, b.index);
+  EXPECT_EQ(a.time_s, b.time_s);
+  EXPECT_EQ(a.left_id, b.left_id);
+  EXPECT_EQ(a.right_id, b.right_id);
+  EXPECT_EQ(a.problem, b.problem);
+  EXPECT_EQ(a.dropped_before, b.dropped_before);
+  EXPECT_EQ(a.surface.frame, b.surface.frame);
+  ExpectSameBits(a.surface.status, b.surface.status);
+  ASSERT_EQ(a.surface.position_mm.size(), b.surface.position_mm.size());
+  for (std::size_t i = 0; i < a.surface.status.pixel_count(); ++i) {
+    if (a.surface.status.data()[i] != Status::kOk) {
+      EXPECT_TRUE(b.surface.position_mm.data()[i].array().isNaN().all());
+      EXPECT_TRUE(b.surface.sigma_random_mm.data()[i].array().isNaN().all());
+      continue;
+    }
+    EXPECT_EQ(a.surface.position_mm.data()[i], b.surface.position_mm.data()[i]);
+    EXPECT_EQ(a.surface.sigma_random_mm.data()[i], b.surface.sigma_random_mm.data()[i]);
+    EXPECT_EQ(a.surface.sigma_calibration_mm.data()[i], b.surface.sigma_calibration_mm.data()[i]);
+    EXPECT_EQ(a.surface.correlation.data()[i], b.surface.correlation.data()[i]);
+    EXPECT_EQ(a.surface.epipolar_px.data()[i], b.surface.epipolar_px.data()[i]);
+  }
+  EXPECT_EQ(a.ground.found, b.ground.found);
+  EXPECT_EQ(a.ground.problem, b.ground.problem);
+  if (!a.ground.found) return;
+  EXPECT_EQ(a.ground.normal_in_rig, b.ground.normal_in_rig);
+  EXPECT_EQ(a.ground.cov_random, b.ground.cov_random);
+  EXPECT_EQ(a.ground.cov_calibration, b.ground.cov_calibration);
+  EXPECT_EQ(a.ground.offset_mm, b.ground.offset_mm);
+  EXPECT_EQ(a.ground.ground_from_rig.Matrix(), b.ground.ground_from_rig.Matrix());
+  EXPECT_EQ(a.ground.centroid_in_rig_mm, b.ground.centroid_in_rig_mm);
+}
+
+void WriteSmallSeries(const fs::path& file, int frames, SeriesHeader header = SmallHeader()) {
+  SeriesWriter writer(file, header);
+  for (int i = 0; i < frames; ++i) writer.Commit(SmallFrame(i));
+  writer.Close();
+}
+
+TEST(Series, ReadsBackWhatWasWritten) {
+  const fs::path file = TestFolder() / "run.h5";
+  std::ofstream(TestFolder() / "in.txt") << "abc";
+  SeriesHeader header = SmallHeader();
+  header.inputs = {TestFolder() / "in.txt"};
+  SeriesFrame bad = SmallFrame(1);
+  bad.problem = "left1.png is truncated";
+  bad.surface = Surface{};
+  bad.ground = GroundRecord{};
+  bad.ground.problem = "no surface";
+  SeriesWriter writer(file, header);
+  writer.Commit(SmallFrame(0));
+  writer.Commit(bad);
+  writer.Commit(SmallFrame(2));
+  writer.Close();
+  EXPECT_FALSE(fs::exists(file.string() + ".parts"));
+
+  const SeriesReader reader(file);
+  ASSERT_EQ(reader.frame_count(), 3);
+  ExpectSameFrame(SmallFrame(0), reader.Frame(0));
+  ExpectSameFrame(bad, reader.Frame(1));
+  EXPECT_TRUE(reader.Frame(1).surface.position_mm.empty());
+  ExpectSameFrame(SmallFrame(2), reader.Frame(2));
+  EXPECT_THROW(reader.Frame(3), std::out_of_range);
+  ExpectSameBits(header.grid_px, reader.grid_px());
+  EXPECT_EQ(reader.step_px(), 4);
+  EXPECT_EQ(reader.subset_px(), 11);
+  EXPECT_EQ(reader.rig().Parameters(), header.rig.Parameters());
+  EXPECT_EQ(reader.rig().modes.modes, header.rig.modes.modes);
+  EXPECT_EQ(reader.facts().recipe_toml, header.recipe_toml);
+  EXPECT_THAT(reader.facts().inputs_json,
+              HasSubstr("\"size\": 3, \"sha256\": "
+                        "\"ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad\""));
+}
+
+TEST(Series, HoldsLargeFramesCutIntoBands) {
+  const fs::path file = TestFolder() / "run.h5";
+  const ImageSize grid{700, 401};  // 124 rows a band: the last one is cut
+  SeriesHeader header = SmallHeader(grid);
+  header.has_covariance = true;
+  SeriesFrame frame = SmallFrame(3, grid);
+  frame.surface.cov_random_mm2 =
+      Image<Eigen::Matrix<float, 6, 1>>(grid, Eigen::Matrix<float, 6, 1>::Zero());
+  for (auto& c : frame.surface.cov_random_mm2.values()) c << 1, 2, 3, 4, 5, 6;
+  SeriesWriter writer(file, header);
+  writer.Commit(frame);
+  writer.Close();
+  const SeriesReader reader(file);
+  const SeriesFrame back = reader.Frame(0);
+  ExpectSameFrame(frame, back);
+  EXPECT_EQ(back.surface.cov_random_mm2(400, 699)[5], 6);
+  EXPECT_TRUE(std::isnan(back.surface.cov_random_mm2(0, 3)[0]));  // that point is occluded
+}
+
+TEST(Series, NeverStoresAValueThatItsStatusDenies) {
+  const fs::path file = TestFolder() / "run.h5";
+  SeriesFrame frame = SmallFrame(0);
+  frame.surface.status(0, 0) = Status::kLowTexture;                              // with a value
+  frame.surface.position_mm(0, 1).x() = std::numeric_limits<float>::infinity();  // "ok"
+  SeriesWriter writer(file, SmallHeader());
+  writer.Commit(frame);
+  writer.Close();
+  const Surface back = SeriesReader(file).Frame(0).surface;
+  EXPECT_TRUE(std::isnan(back.position_mm(0, 0).x()));
+  EXPECT_EQ(back.status(0, 1), Status::kFailedVerification);
+  EXPECT_TRUE(std::isnan(back.position_mm(0, 1).y()));
+}
+
+TEST(Series, AnEmptyRunIsAValidFile) {
+  const fs::path file = TestFolder() / "run.h5";
+  WriteSmallSeries(file, 0);
+  EXPECT_EQ(SeriesReader(file).frame_count(), 0);
+}
+
+TEST(Series, RefusesASurfaceOfAnotherSize) {
+  SeriesWriter writer(TestFolder() / "run.h5", SmallHeader());
+  EXPECT_THROW(writer.Commit(SmallFrame(0, {8, 5})), std::invalid_argument);
+  writer.Commit(SmallFrame(0));
+  writer.Close();
+}
+
+// Run by the test below in a process of its own: commits until it is killed, telling each commit.
+TEST(SeriesChild, DISABLED_CommitsUntilKilled) {
+  const char* file = std::getenv("PLUMBLINE_SERIES_CHILD");
+  if (file == nullptr) GTEST_SKIP() << "a part of Series.AKilledRunLosesNoCommittedFrame";
+  SeriesWriter writer(file, SmallHeader({70, 50}));
+  std::ofstream told(std::string(file) + ".told", std::ios::binary);
+  for (int i = 0; i < 100'000; ++i) {
+    writer.Commit(SmallFrame(i, {70, 50}));
+    told << 'x' << std::flush;
+  }
+}
+
+// The whole point of the journal: a child is killed at any moment, again and again; every frame
+// that it had reported as committed is there afterwards.
+TEST(Series, AKilledRunLosesNoCommittedFrame) {
+  const fs::path folder = TestFolder();
+  int with_frames = 0;
+  for (int round = 0; round < 8; ++round) {
+    const fs::path file = folder / ("run" + std::to_string(round) + ".h5");
+    const pid_t child = fork();
+    if (child == 0) {
+      setenv("PLUMBLINE_SERIES_CHILD", file.c_str(), 1);
+      if (std::freopen("/dev/null", "w", stdout) == nullptr) _exit(1);
+      execl("/proc/self/exe", "series", "--gtest_also_run_disabled_tests",
+            "--gtest_filter=SeriesChild.DISABLED_CommitsUntilKilled", nullptr);
+      _exit(1);
+    }
+    const fs::path told = file.string() + ".told";
+    std::error_code ignored;
+    for (int k = 0; k < 4000 && (!fs::exists(told) || fs::file_size(told, ignored) < 3); ++k) {
+      usleep(2000);
+    }
+    usleep(static_cast<useconds_t>(3000 + 1777 * round));
+    kill(child, SIGKILL);
+    waitpid(child, nullptr, 0);
+    const auto reported = static_cast<std::int64_t>(fs::file_size(told));
+    const RecoveredSeries recovered = RecoverSeries(file);
+    EXPECT_GE(recovered.frames, reported);
+    EXPECT_LE(recovered.frames, reported + 1);
+    const SeriesReader reader(file);
+    ASSERT_EQ(reader.frame_count(), recovered.frames);
+    ExpectSameFrame(SmallFrame(reported - 1, {70, 50}), reader.Frame(reported - 1));
+    with_frames += reported > 2 ? 1 : 0;
+    EXPECT_FALSE(fs::exists(file.string() + ".parts"));
+  }
+  EXPECT_EQ(with_frames, 8);
+}
+
+TEST(Series, RecoversUpToTheFirstDamagedByte) {
+  const fs::path folder = TestFolder();
+  std::mt19937 rng(2);
+  for (int round = 0; round < 20; ++round) {
+    const fs::path file = folder / ("run" + std::to_string(round) + ".h5");
+    {
+      SeriesWriter writer(file, SmallHeader());
+      for (int i = 0; i < 5; ++i) writer.Commit(SmallFrame(i));
+    }
+    const fs::path journal = file.string() + ".parts/journal";
+    const auto size = static_cast<std::int64_t>(fs::file_size(journal));
+    const std::int64_t at = size / 4 + static_cast<std::int64_t>(rng()) % (size - size / 4);
+    std::fstream bytes(journal, std::ios::in | std::ios::out | std::ios::binary);
+    bytes.seekg(at);
+    const char old = static_cast<char>(bytes.get());
+    bytes.seekp(at);
+    bytes.put(static_cast<char>(old ^ 0x55));
+    bytes.close();
+    const RecoveredSeries recovered = RecoverSeries(file);
+    EXPECT_LT(recovered.frames, 5);
+    EXPECT_GT(recovered.bytes_dropped, 0);
+    const SeriesReader reader(file);
+    for (std::int64_t i = 0; i < recovered.frames; ++i) {
+      ExpectSameFrame(SmallFrame(i), reader.Frame(i));
+    }
+  }
+}
+
+TEST(Series, RefusesToOverwriteAnUnfinishedRunOrToRecoverALivingOne) {
+  const fs::path file = TestFolder() / "run.h5";
+  SeriesWriter writer(file, SmallHeader());
+  writer.Commit(SmallFrame(0));
+  EXPECT_THROW(SeriesWriter(file, SmallHeader()), InputError);
+  EXPECT_THROW(RecoverSeries(file), InputError);
+  writer.Close();
+  EXPECT_THROW(RecoverSeries(file), InputError);  // nothing left to recover
+}
+
+TEST(Series, AFullDiskIsNamedAndKeepsTheCommittedFrames) {
+  const fs::path file = TestFolder() / "run.h5";
+  rlimit before{};
+  getrlimit(RLIMIT_FSIZE, &before);
+  signal(SIGXFSZ, SIG_IGN);
+  int committed = 0;
+  {
+    SeriesWriter writer(file, SmallHeader());
+    for (; committed < 3; ++committed) writer.Commit(SmallFrame(committed));
+    rlimit small = before;
+    small.rlim_cur = fs::file_size(file.string() + ".parts/journal") + 100;
+    setrlimit(RLIMIT_FSIZE, &small);
+    try {
+      writer.Commit(SmallFrame(3));
+      ADD_FAILURE() << "wrote beyond the limit";
+    } catch (const EnvironmentError& error) {
+      EXPECT_THAT(error.what(), HasSubstr("run.h5.parts/journal"));
+    }
+    small.rlim_cur = 8192;  // no room for the packed file either
+    setrlimit(RLIMIT_FSIZE, &small);
+    try {
+      writer.Close();
+      ADD_FAILURE() << "packed beyond the limit";
+    } catch (const EnvironmentError& error) {
+      EXPECT_THAT(error.what(), HasSubstr("run.h5"));
+    }
+    setrlimit(RLIMIT_FSIZE, &before);
+  }
+  EXPECT_EQ(RecoverSeries(file).frames, 3);
+  ExpectSameFrame(SmallFrame(2), SeriesReader(file).Frame(2));
+}
+
+TEST(Series, AFolderThatCannotBeWrittenIsNamed) {
+  try {
+    SeriesWriter writer("/nowhere/run.h5", SmallHeader());
+    ADD_FAILURE();
+  } catch (const EnvironmentError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("/nowhere/run.h5"));
+  }
+}
+
+TEST(Series, RefusesFilesThatReachForOthers) {
+  const fs::path folder = TestFolder();
+  WriteSmallSeries(folder / "good.h5", 1);
+  const auto made = testing::RunPython(R"py(
+import sys, shutil, h5py
+folder = sys.argv[1]
+def copy(name):
+    shutil.copy(folder + '/good.h5', folder + '/' + name)
+    return h5py.File(folder + '/' + name, 'r+')
+with copy('soft.h5') as f: f['x'] = h5py.SoftLink('/rig')
+with copy('external_link.h5') as f: f['x'] = h5py.ExternalLink('/etc/passwd', '/')
+with copy('external_storage.h5') as f:
+    del f['frames/time_s']
+    f.create_dataset('frames/time_s', (1,), 'f8', external=[('/etc/passwd', 0, 8)])
+with copy('virtual.h5') as f:
+    layout = h5py.VirtualLayout((1,), 'f8')
+    layout[:] = h5py.VirtualSource('../other.h5', 'x', (1,))
+    f.create_virtual_dataset('v', layout)
+with copy('huge.h5') as f:
+    del f['frames/index']
+    f.create_dataset('frames/index', (10**12,), 'i8', chunks=(1000,))
+with copy('loop.h5') as f: f['rig/again'] = f['rig']
+with copy('other.h5') as f: f.attrs['format'] = 'something'
+with copy('newer.h5') as f: f.attrs['format_version'] = 99
+)py",
+                                       folder.string());
+  ASSERT_EQ(made.exit_code, 0) << made.output;
+  for (const char* name :
+       {"soft", "external_link", "external_storage", "virtual", "huge", "loop", "other", "newer"}) {
+    const fs::path file = folder / (std::string(name) + ".h5");
+    try {
+      SeriesReader reader(file);
+      ADD_FAILURE() << name;
+    } catch (const InputError& error) {
+      EXPECT_THAT(error.what(), HasSubstr(file.string()));
+    }
+  }
+  EXPECT_NO_THROW(SeriesReader(folder / "good.h5"));
+}
+
+TEST(Series, SurvivesGarbledAndTruncatedFiles) {
+  const fs::path folder = TestFolder();
+  WriteSmallSeries(folder / "good.h5", 2);
+  std::ifstream in(folder / "good.h5", std::ios::binary);
+  const std::string whole{std::istreambuf_iterator<char>(in), {}};
+  std::mt19937 rng(4);
+  for (int k = 0; k < 150; ++k) {
+    std::string bytes = whole;
+    if (k % 3 == 0) {
+      bytes.resize(rng() % bytes.size());
+    } else {
+      for (int n = 0; n < 8; ++n) bytes[rng() % bytes.size()] = static_cast<char>(rng());
+    }
+    const fs::path file = folder / "bad.h5";
+    std::ofstream(file, std::ios::binary) << bytes;
+    try {
+      const SeriesReader reader(file);
+      reader.rig();
+      for (std::int64_t i = 0; i < std::min<std::int64_t>(reader.frame_count(), 3); ++i) {
+        reader.Frame(i);
+      }
+    } catch (const InputError&) {
+    }
+  }
+}
+
+// Every dataset, walked by another reader: units, long_name, an axis on every dimension, fills.
+TEST(Series, H5pyReadsEveryDatasetWithUnitsAndScales) {
+  const fs::path file = TestFolder() / "run.h5";
+  SeriesHeader header = SmallHeader();
+  header.rig_extras.arrays = {
+      {"board/point_id", "1", "number of the point", {2}, {0, 1}, {}},
+      {"board/points", "mm", "target points", {2, 3}, {0, 0, 0, 10, 0, 1}, {"board/point_id"}}};
+  SeriesWriter writer(file, header);
+  for (int i = 0; i < 3; ++i) writer.Commit(SmallFrame(i));
+  writer.Close();
+  const auto read = testing::RunPython(R"py(
+import sys, h5py, numpy as np
+f = h5py.File(sys.argv[1], 'r')
+assert f.attrs['format'] == 'plumbline-series' and f.attrs['format_version'] == 1
+for name in ('created', 'software', 'recipe', 'inputs'): assert name in f.attrs, name
+count = 0
+def visit(name, o):
+    global count
+    if not isinstance(o, h5py.Dataset): return
+    o[()]
+    count += 1
+    assert o.attrs['units'], name
+    assert o.attrs['long_name'], name
+    if h5py.h5ds.is_scale(o.id): return
+    for d in range(o.ndim):
+        assert len(o.dims[d]) > 0, (name, d)
+        assert o.dims[d][0].shape == (o.shape[d],), (name, d)
+f.visititems(visit)
+assert count > 40, count
+for g in ('surface', 'grid', 'frames', 'ground'):
+    assert f[g].attrs['NX_class'] == 'NXdata'
+    signal = f[g][f[g].attrs['signal']]
+    for d, axis in enumerate(np.atleast_1d(f[g].attrs['axes'])): assert f[g][axis].shape == (signal.shape[d],)
+p, s = f['surface/position'], f['surface/status']
+assert p.shape == (3, 5, 7, 3) and p.chunks == (1, 5, 7, 3) and p.shuffle and p.compression_opts == 1
+assert np.isnan(p.fillvalue)
+assert h5py.check_enum_dtype(s.dtype)['occluded'] == 7
+k = np.arange(35).reshape(5, 7)
+for i in range(3):
+    ok = k % 5 != 3
+    assert np.array_equal(np.isnan(p[i, ..., 0]), ~ok) and np.array_equal(s[i] == 0, ok)
+    np.testing.assert_allclose(p[i][ok][:, 1], 2 * (i + .1 * k[ok]), rtol=1e-6)
+np.testing.assert_allclose(f['surface/position_errors'][:], np.hypot(f['surface/position_errors_random'][:], f['surface/position_errors_calibration'][:]), rtol=1e-6)
+assert f['surface'].attrs['frame'] == 'ground'
+assert f['ground/ground_from_rig'].shape == (3, 4, 4)
+assert f['frames/left_id'].asstr()[2] == 'left2.png'
+print('walked', count)
+)py",
+                                       file.string());
+  EXPECT_EQ(read.exit_code, 0) << read.output;
+  EXPECT_THAT(read.output, HasSubstr("walked"));
+}
+
+TEST(GroundAngles, SigmasMatchFiniteDifferences) {
+  const GroundRecord g = SmallFrame(0).ground;
+  const auto angles = [&](const Eigen::VectorXd& ab) -> Eigen::VectorXd {
+    GroundRecord turned = g;
+    turned.normal_in_rig =
+        Rigid3::FromRotationVector(ab[0] * g.e1_in_rig + ab[1] * g.e2_in_rig, {0, 0, 0}) *
+        g.normal_in_rig;
+    return AnglesOf(turned).angle_rad;
+  };
+  const Eigen::MatrixXd J = testing::NumericJacobian(angles, Eigen::VectorXd::Zero(2));
+  const Eigen::Vector3d expected =
+      (J * g.cov_random.topLeftCorner<2, 2>() * J.transpose()).diagonal().cwiseSqrt();
+  EXPECT_NEAR((AnglesOf(g).sigma_random_rad - expected).norm(), 0, 1e-9 * expected.norm());
+  GroundRecord down = g;
+  down.normal_in_rig = Eigen::Vector3d(0, 0, -1);
+  EXPECT_NEAR(AnglesOf(down).angle_rad.norm(), 0, 1e-15);
+}
+
+}  // namespace
+}  // namespace plumbline
