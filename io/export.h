@@ -1,0 +1,19 @@
+#pragma once
+
+#include <filesystem>
+
+#include "io/series_writer.h"
+
+namespace plumbline {
+
+// Writes the points of one frame whose status is ok, in row order, to a temporary name that is then
+// renamed. Throws EnvironmentError naming the file.
+//
+// PLY (binary, little endian), vertex properties as 32-bit floats: x y z, sigma_random_x.._z,
+// sigma_calibration_x.._z (all mm, one standard deviation), correlation, epipolar_px.
+void ExportPly(const std::filesystem::path& file, const SeriesFrame& frame);
+
+// CSV with one heading line that names the units: row, column, then the same values.
+void ExportCsv(const std::filesystem::path& file, const SeriesFrame& frame);
+
+}  // namespace plumbline

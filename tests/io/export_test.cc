@@ -1,0 +1,36 @@
+#include "io/export.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "tests/io/series_fixture.h"
+#include "tests/support/shared_data.h"
+
+namespace plumbline {
+namespace {
+
+TEST(Export, VtkReadsThePlyAndNumpyTheCsv) {
+  const auto folder = testing::TestFolder();
+  ExportPly(folder / "a.ply", testing::SmallFrame(2));
+  ExportCsv(folder / "a.csv", testing::SmallFrame(2));
+  const auto read = testing::RunPython(R"py(
+import sys, numpy as np
+from vtkmodules.vtkIOPLY import vtkPLYReader
+from vtkmodules.util.numpy_support import vtk_to_numpy
+k = np.array([k for k in range(35) if k % 5 != 3])
+v = 2 + 0.1 * k
+expected = np.stack([v, 2 * v, 3 * v], 1)
+reader = vtkPLYReader(); reader.SetFileName(sys.argv[1] + '/a.ply'); reader.Update()
+np.testing.assert_allclose(vtk_to_numpy(reader.GetOutput().GetPoints().GetData()), expected, rtol=1e-6)
+t = np.genfromtxt(sys.argv[1] + '/a.csv', delimiter=',', names=True)
+np.testing.assert_array_equal(t['row'] * 7 + t['col'], k)
+np.testing.assert_allclose(t['z_mm'], 3 * v, rtol=1e-6)
+np.testing.assert_allclose(t['sigma_calibration_y_mm'], 0.02 * v, rtol=1e-6)
+print('same')
+)py",
+                                       folder.string());
+  EXPECT_THAT(read.output, ::testing::HasSubstr("same"));
+}
+
+}  // namespace
+}  // namespace plumbline
