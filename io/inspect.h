@@ -1,0 +1,36 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+namespace plumbline {
+
+// What is in a series or a rig file, for `plumbline info`.
+struct FileSummary {
+  std::string format;  // "plumbline-series" or "plumbline-rig"
+  std::string lens_model;
+  double baseline_mm = 0;
+  int calibration_modes = 0;
+  // Series only.
+  std::string created, software;
+  std::int64_t frames = 0;
+  std::int64_t frames_with_surface = 0;
+  std::int64_t frames_with_ground = 0;
+  int grid_rows = 0;
+  int grid_columns = 0;
+  std::int64_t points = 0;  // with status ok, over all frames
+
+  std::string Text() const;  // one fact a line
+};
+
+// Throws InputError where the file can be read neither as a series nor as a rig file.
+FileSummary Inspect(const std::filesystem::path& file);
+
+// What is wrong with a file, one sentence each; empty: it is whole. Reads every frame: each value
+// must be a number exactly where its status is ok. A file that cannot be read at all is one
+// finding.
+std::vector<std::string> Validate(const std::filesystem::path& file);
+
+}  // namespace plumbline
