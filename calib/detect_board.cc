@@ -18,10 +18,11 @@ BoardDetection DetectBoard(const BoardSpec& spec, const GrayImage& image) {
     case BoardSpec::Kind::kDonutDots:
       return internal::DetectDonutDots(spec, image);
     case BoardSpec::Kind::kCharuco:
+      return internal::DetectCharuco(spec, image);
     case BoardSpec::Kind::kAprilGrid:
-      break;
+      return internal::DetectAprilGrid(spec, image);
   }
-  throw std::invalid_argument("DetectBoard: no detector for this kind of board");
+  throw std::invalid_argument("DetectBoard: unknown kind of board");
 }
 
 }  // namespace plumbline

@@ -123,11 +123,11 @@ struct Levels {
 
 // Levels from the pixels clearly outside and clearly on the disc.
 std::optional<Levels> StartLevels(const std::vector<Sample>& samples, const Ellipse& start,
-                                  bool ring) {
+                                  double reach, bool ring) {
   double sum[2] = {}, count[2] = {};
   for (const Sample& s : samples) {
     const double rho = start.NormalisedRadius(s.p + start.centre);
-    const bool outside = rho > 1.2, on = rho < 0.75 && (!ring || rho > 0.5);
+    const bool outside = rho > 0.5 * (1 + reach), on = rho < 0.75 && (!ring || rho > 0.5);
     if (!outside && !on) continue;
     sum[on] += s.grey;
     count[on] += 1;
@@ -140,7 +140,7 @@ template <bool kRing>
 std::optional<DiscFit> Fit(const GrayImage& image, const Ellipse& start, double reach) {
   using Solver = TwoLevelFit<DiscShape<kRing>>;
   const std::vector<Sample> collected = Collect(image, start, reach);
-  const auto levels = StartLevels(collected, start, kRing);
+  const auto levels = StartLevels(collected, start, reach, kRing);
   if (!levels) return std::nullopt;
   std::vector<typename Solver::Sample> samples;
   samples.reserve(collected.size());

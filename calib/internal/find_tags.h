@@ -1,0 +1,30 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <opencv2/core.hpp>
+#include <string>
+#include <vector>
+
+namespace plumbline::internal {
+
+// One square tag in a photograph.
+struct Tag {
+  int id = 0;
+  // Of the black border, in the upright tag: bottom left, bottom right, top right, top left.
+  // (0, 0) is the centre of the top-left pixel: half a pixel less than the apriltag library says.
+  std::array<Eigen::Vector2d, 4> corners;
+  int wrong_bits = 0;  // corrected ones
+};
+
+// AprilTags by the AprilRobotics library in a CV_8UC1 image, sorted by id. `family` is its name for
+// it (tag36h11, tag36h10, tag25h9, tag16h5); `border_bits` the width of the black border: 1 as
+// published, 2 as printed by Kalibr. Throws std::invalid_argument on another family.
+std::vector<Tag> FindTags(const cv::Mat& image, const std::string& family, int border_bits = 1);
+
+// The same by OpenCV's marker finder, which follows contours and therefore sees Kalibr's tags,
+// whose corners touch black squares, where the other one does not.
+std::vector<Tag> FindTagsByContours(const cv::Mat& image, const std::string& family,
+                                    int border_bits);
+
+}  // namespace plumbline::internal
