@@ -108,7 +108,7 @@ std::vector<Sample> Collect(const GrayImage& image, const Ellipse& start, double
       const double rho = start.NormalisedRadius(p);
       if (rho > reach) continue;
       if (x < 0 || y < 0 || x >= image.width() || y >= image.height()) {
-        if (rho < std::min(1.15, reach)) return {};
+        if (rho < 1.03) return {};
         continue;
       }
       samples.push_back({p - start.centre, static_cast<double>(image.grey(y, x))});

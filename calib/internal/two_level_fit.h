@@ -112,7 +112,7 @@ class TwoLevelFit {
       const bool plausible = next.allFinite() && shape_.Plausible(next.template head<kGeometry>());
       const double trial = plausible ? Evaluate(next, next_JtJ, next_Jtr) : HUGE_VAL;
       if (trial <= sum) {
-        const bool rest = step.template head<2>().norm() < 1e-4 && sum - trial < 1e-5 * sum + 1e-9;
+        const bool rest = step.template head<2>().norm() < 1e-3 && sum - trial < 1e-4 * sum + 1e-9;
         q = next;
         sum = trial;
         JtJ = next_JtJ;
