@@ -80,7 +80,8 @@ void DescribePairs(const BoardProblem& problem, const std::vector<std::string>& 
     r.left_name = pairs[i].left_name;
     r.right_name = pairs[i].right_name;
     r.problem = problems[i];
-    r.used = r.problem.empty();
+    r.used = std::any_of(problem.observations.begin(), problem.observations.end(),
+                         [&](const BoardObservation& o) { return o.pair == static_cast<int>(i); });
     r.left_points = static_cast<int>(pairs[i].left.ids.size());
     r.right_points = static_cast<int>(pairs[i].right.ids.size());
     if (r.used) {

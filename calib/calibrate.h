@@ -73,8 +73,8 @@ struct CalibrationPair {
 // What became of one pair of photographs.
 struct PairResult {
   std::string left_name, right_name;
-  bool used = false;
-  std::string problem;  // why not used
+  bool used = false;    // at least one of its photographs
+  std::string problem;  // why the pair, or one of its photographs, was left out
   int left_points = 0, right_points = 0;
   int outliers = 0;
   double left_rms_px = 0, right_rms_px = 0;  // per component, of the points used
@@ -108,7 +108,9 @@ struct ModelScore {
 
 struct Calibration {
   Calibration(BoardSpec board_spec, CalibrationOptions used_options, StereoRig stereo_rig)
-      : board(std::move(board_spec)), options(std::move(used_options)), rig(std::move(stereo_rig)) {}
+      : board(std::move(board_spec)),
+        options(std::move(used_options)),
+        rig(std::move(stereo_rig)) {}
 
   BoardSpec board;
   CalibrationOptions options;

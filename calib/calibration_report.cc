@@ -47,7 +47,10 @@ Eigen::Vector3d WithoutRigidMotion(const std::array<Eigen::Vector3d, 5>& from,
 
 void AppendWorst(const Calibration& c, std::string& text) {
   std::vector<const PairResult*> used, dropped;
-  for (const PairResult& p : c.pairs) (p.used ? used : dropped).push_back(&p);
+  for (const PairResult& p : c.pairs) {
+    if (p.used) used.push_back(&p);
+    if (!p.problem.empty()) dropped.push_back(&p);
+  }
   const auto worst = [](const PairResult* p) { return std::max(p->left_rms_px, p->right_rms_px); };
   std::sort(used.begin(), used.end(),
             [&](const PairResult* a, const PairResult* b) { return worst(a) > worst(b); });
@@ -59,7 +62,7 @@ void AppendWorst(const Calibration& c, std::string& text) {
                    used[i]->left_points + used[i]->right_points);
   }
   if (dropped.empty()) return;
-  fmt::format_to(out, "\nNot used\n");
+  fmt::format_to(out, "\nLeft out\n");
   for (const PairResult* p : dropped)
     fmt::format_to(out, "  {} and {}: {}\n", p->left_name, p->right_name, p->problem);
 }

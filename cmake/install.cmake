@@ -3,6 +3,7 @@ set(PLUMBLINE_FOLDERS calib match fit track io)
 set(PLUMBLINE_TARGETS ${PLUMBLINE_FOLDERS})
 list(TRANSFORM PLUMBLINE_TARGETS PREPEND plumbline_)
 install(TARGETS ${PLUMBLINE_TARGETS} EXPORT plumbline)
+install(TARGETS plumbline_apps)
 foreach(folder ${PLUMBLINE_FOLDERS})
   install(DIRECTORY ${folder} DESTINATION ${CMAKE_INSTALL_INCLUDEDIR}/plumbline
           FILES_MATCHING PATTERN "*.h" PATTERN internal EXCLUDE)

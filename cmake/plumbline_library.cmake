@@ -2,6 +2,7 @@
 #
 # One folder, one library: every .cc of the folder and of its internal/. `ours` are folders further left in
 # calib <- match <- fit <- track <- io <- apps; `theirs` stay private, so that a user of the library sees only std and Eigen.
+# Shared libraries, because they carry what they need of theirs: a user links plumbline::io and nothing else.
 function(plumbline_warnings target)
   target_compile_options(${target} PRIVATE -Wall -Wextra -Wconversion -Werror)
   if(CMAKE_CXX_COMPILER_ID STREQUAL "GNU")
@@ -26,9 +27,10 @@ function(plumbline_library name)
     endforeach()
     return()
   endif()
-  add_library(plumbline_${name} STATIC ${sources})
+  add_library(plumbline_${name} SHARED ${sources})
   add_library(plumbline::${name} ALIAS plumbline_${name})
-  set_target_properties(plumbline_${name} PROPERTIES EXPORT_NAME ${name})
+  set_target_properties(plumbline_${name} PROPERTIES EXPORT_NAME ${name} VERSION ${PROJECT_VERSION}
+                        SOVERSION ${PROJECT_VERSION_MAJOR}.${PROJECT_VERSION_MINOR})
   target_include_directories(plumbline_${name} PUBLIC
     $<BUILD_INTERFACE:${PROJECT_SOURCE_DIR}>
     $<INSTALL_INTERFACE:${CMAKE_INSTALL_INCLUDEDIR}>
@@ -39,7 +41,7 @@ function(plumbline_library name)
     target_link_libraries(plumbline_${name} PUBLIC plumbline::${dependency})
   endforeach()
   foreach(library ${ARG_PRIVATE})
-    target_link_libraries(plumbline_${name} PRIVATE $<BUILD_INTERFACE:${library}>)
+    target_link_libraries(plumbline_${name} PRIVATE ${library})
   endforeach()
   plumbline_warnings(plumbline_${name})
 endfunction()

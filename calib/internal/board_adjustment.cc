@@ -1,6 +1,7 @@
 #include "calib/internal/board_adjustment.h"
 
 #include <ceres/ceres.h>
+#include <glog/logging.h>
 
 #include <algorithm>
 #include <array>
@@ -162,7 +163,7 @@ Motion ToMotion(const Rigid3& rigid) {
           rigid.translation_mm.z()};
 }
 
-Rigid3 FromMotion(const Motion& m) {
+Rigid3 FromMotion(const double* m) {
   return Rigid3::FromRotationVector({m[0], m[1], m[2]}, {m[3], m[4], m[5]});
 }
 
@@ -170,28 +171,51 @@ const Camera& CameraOf(const BoardProblem& problem, int camera) {
   return camera == 0 ? problem.rig.left : problem.rig.right;
 }
 
-// The parameter blocks of a problem in the form that Ceres wants them.
-struct Blocks {
-  std::array<Eigen::VectorXd, 2> intrinsics;
-  Motion right_from_left;
-  std::vector<Motion> left_from_board;
-  std::vector<Eigen::Vector3d> target;
-
+// The parameter blocks of a problem in the form that Ceres wants them. All in one array: Ceres
+// orders blocks by their addresses, and this way the order, and with it every rounding, is the same
+// each time.
+class Blocks {
+ public:
   explicit Blocks(const BoardProblem& p)
-      : intrinsics{p.rig.left.parameters(), p.rig.right.parameters()},
-        right_from_left(ToMotion(p.rig.right_from_left)),
-        target(p.target_mm) {
-    for (const Rigid3& pose : p.left_from_board) left_from_board.push_back(ToMotion(pose));
+      : right_(static_cast<std::size_t>(p.rig.left.parameter_count())),
+        motion_(right_ + static_cast<std::size_t>(p.rig.right.parameter_count())),
+        poses_(motion_ + 6),
+        target_(poses_ + 6 * p.left_from_board.size()),
+        values_(target_ + 3 * p.target_mm.size()) {
+    Store(p.rig.left.parameters(), Intrinsics(0));
+    Store(p.rig.right.parameters(), Intrinsics(1));
+    Store(ToMotion(p.rig.right_from_left), RightFromLeft());
+    for (std::size_t i = 0; i < p.left_from_board.size(); ++i)
+      Store(ToMotion(p.left_from_board[i]), LeftFromBoard(i));
+    for (std::size_t i = 0; i < p.target_mm.size(); ++i) Store(p.target_mm[i], Target(i));
   }
 
-  void StoreIn(BoardProblem& p) const {
-    p.rig.left = p.rig.left.WithParameters(intrinsics[0]);
-    p.rig.right = p.rig.right.WithParameters(intrinsics[1]);
-    p.rig.right_from_left = FromMotion(right_from_left);
-    for (std::size_t i = 0; i < left_from_board.size(); ++i)
-      p.left_from_board[i] = FromMotion(left_from_board[i]);
-    p.target_mm = target;
+  double* Intrinsics(int camera) { return values_.data() + (camera == 0 ? 0 : right_); }
+  double* RightFromLeft() { return values_.data() + motion_; }
+  double* LeftFromBoard(std::size_t pair) { return values_.data() + poses_ + 6 * pair; }
+  double* Target(std::size_t id) { return values_.data() + target_ + 3 * id; }
+
+  void StoreIn(BoardProblem& p) {
+    p.rig.left = p.rig.left.WithParameters(
+        Eigen::Map<Eigen::VectorXd>(Intrinsics(0), p.rig.left.parameter_count()));
+    p.rig.right = p.rig.right.WithParameters(
+        Eigen::Map<Eigen::VectorXd>(Intrinsics(1), p.rig.right.parameter_count()));
+    p.rig.right_from_left = FromMotion(RightFromLeft());
+    for (std::size_t i = 0; i < p.left_from_board.size(); ++i)
+      p.left_from_board[i] = FromMotion(LeftFromBoard(i));
+    for (std::size_t i = 0; i < p.target_mm.size(); ++i)
+      p.target_mm[i] = Eigen::Map<Eigen::Vector3d>(Target(i));
   }
+
+ private:
+  template <typename Values>
+  static void Store(const Values& values, double* to) {
+    std::copy(values.begin(), values.end(), to);
+  }
+
+  std::size_t right_, motion_, poses_,
+      target_;  // first index of each; the left intrinsics begin at 0
+  std::vector<double> values_;
 };
 
 void HoldConstant(ceres::Problem& ceres_problem, double* block) {
@@ -229,50 +253,54 @@ void Adjust(BoardProblem& problem, const AdjustmentOptions& options) {
   Blocks blocks(problem);
   ceres::Problem ceres_problem;
   auto ordering = std::make_shared<ceres::ParameterBlockOrdering>();
-  std::vector<bool> target_seen(blocks.target.size(), false);
+  std::vector<bool> target_seen(problem.target_mm.size(), false);
   for (const BoardObservation& o : problem.observations) {
     if (o.outlier) continue;
     const Camera& camera = CameraOf(problem, o.camera);
     const auto pair = static_cast<std::size_t>(o.pair);
     const auto id = static_cast<std::size_t>(o.id);
-    std::vector<double*> parameters = {blocks.intrinsics[static_cast<std::size_t>(o.camera)].data(),
-                                       blocks.left_from_board[pair].data(),
-                                       blocks.target[id].data()};
-    if (o.camera == 1) parameters.push_back(blocks.right_from_left.data());
+    std::vector<double*> parameters = {blocks.Intrinsics(o.camera), blocks.LeftFromBoard(pair),
+                                       blocks.Target(id)};
+    if (o.camera == 1) parameters.push_back(blocks.RightFromLeft());
     ceres_problem.AddResidualBlock(
         new BoardCost(ToMrcal(camera.model()), camera.parameter_count(), o.camera == 1,
                       o.pixel - o.disc_offset_px, problem.Sigma(o)),
         options.robust ? new ceres::CauchyLoss(3) : nullptr, parameters);
-    ordering->AddElementToGroup(blocks.left_from_board[pair].data(), 0);
+    ordering->AddElementToGroup(blocks.LeftFromBoard(pair), 0);
     target_seen[id] = true;
   }
-  for (std::size_t id = 0; id < blocks.target.size(); ++id) {
+  for (std::size_t id = 0; id < problem.target_mm.size(); ++id) {
     if (!target_seen[id]) continue;
     if (options.fix_target) {
-      ceres_problem.SetParameterBlockConstant(blocks.target[id].data());
+      ceres_problem.SetParameterBlockConstant(blocks.Target(id));
     } else {
       ceres_problem.AddResidualBlock(
           new TargetPrior(problem.nominal_mm[id], options.target_sigma_mm), nullptr,
-          blocks.target[id].data());
+          blocks.Target(id));
     }
-    ordering->AddElementToGroup(blocks.target[id].data(), 1);
+    ordering->AddElementToGroup(blocks.Target(id), 1);
   }
-  for (double* block :
-       {blocks.intrinsics[0].data(), blocks.intrinsics[1].data(), blocks.right_from_left.data()}) {
+  for (double* block : {blocks.Intrinsics(0), blocks.Intrinsics(1), blocks.RightFromLeft()}) {
     if (!ceres_problem.HasParameterBlock(block)) continue;
     ordering->AddElementToGroup(block, 1);
     if (options.fix_cameras) HoldConstant(ceres_problem, block);
   }
   ceres::Solver::Options solver;
-  const bool poses_alone = options.fix_cameras && options.fix_target;
-  solver.linear_solver_type = poses_alone ? ceres::SPARSE_NORMAL_CHOLESKY : ceres::SPARSE_SCHUR;
-  if (!poses_alone) solver.linear_solver_ordering = ordering;
+  // Eigen's own factorisations: unlike a threaded BLAS they give the same bits every time.
+  solver.linear_solver_type = options.fix_cameras && options.fix_target
+                                  ? ceres::SPARSE_NORMAL_CHOLESKY
+                                  : ceres::DENSE_SCHUR;
+  solver.dense_linear_algebra_library_type = ceres::EIGEN;
+  solver.sparse_linear_algebra_library_type = ceres::EIGEN_SPARSE;
+  if (solver.linear_solver_type == ceres::DENSE_SCHUR) solver.linear_solver_ordering = ordering;
   solver.num_threads = 1;
   solver.max_num_iterations = options.max_iterations;
   solver.function_tolerance = 1e-11;
   solver.gradient_tolerance = 1e-14;
   solver.parameter_tolerance = 1e-12;
   solver.logging_type = ceres::SILENT;
+  FLAGS_minloglevel = google::GLOG_ERROR;  // a step that fails is tried again with more damping:
+                                           // nothing to tell anybody
   ceres::Solver::Summary summary;
   ceres::Solve(solver, &ceres_problem, &summary);
   if (!summary.IsSolutionUsable()) {
@@ -280,8 +308,8 @@ void Adjust(BoardProblem& problem, const AdjustmentOptions& options) {
                      summary.message +
                      "); check the board word and add photographs with more tilt");
   }
-  if (blocks.intrinsics[0].head<2>().minCoeff() <= 0 ||
-      blocks.intrinsics[1].head<2>().minCoeff() <= 0) {
+  if (std::min(blocks.Intrinsics(0)[0], blocks.Intrinsics(0)[1]) <= 0 ||
+      std::min(blocks.Intrinsics(1)[0], blocks.Intrinsics(1)[1]) <= 0) {
     throw InputError(
         "the joint adjustment of cameras and board gave a focal length below zero; check the board "
         "word and add photographs with more tilt");

@@ -116,9 +116,9 @@ CameraSeed SeedCamera(const BoardSpec& board, ImageSize size,
         kept.push_back(use[k]);
       } else {
         out.problems[use[k]] = fmt::format(
-            "the {} photograph does not fit the camera of the others ({:.1f} px rms): another "
-            "camera or lens setting, or the board misread",
-            side, rms[k]);
+            "does not fit the camera of the other photographs ({:.1f} px rms): another camera or "
+            "lens setting, or the board misread",
+            rms[k]);
       }
     }
     const bool settled = kept.size() == use.size();
@@ -153,6 +153,13 @@ void AddObservations(BoardProblem& problem, int pair, int camera, const BoardDet
     o.sigma_px = detection.sigma_px[k];
     problem.observations.push_back(o);
   }
+}
+
+std::string OfBothSides(const std::string& left, const std::string& right) {
+  if (left == right) return left;
+  if (left.empty()) return "right: " + right;
+  if (right.empty()) return "left: " + left;
+  return "left: " + left + "; right: " + right;
 }
 
 // The pose of the right camera against the left that agrees best with all pairs; pairs that
@@ -258,16 +265,13 @@ CalibrationSeed SeedCalibration(const BoardSpec& board, const LensModel& model, 
     const bool has_left = left.camera_from_board[i].has_value();
     const bool has_right = right.camera_from_board[i].has_value();
     std::string& trouble = seed.pair_problems[i];
-    if (trouble.empty() && !has_left && !has_right) {
-      trouble = left.problems[i] == right.problems[i]
-                    ? left.problems[i]
-                    : "left: " + left.problems[i] + "; right: " + right.problems[i];
-    }
+    const bool contradictory = !trouble.empty();
+    if (!contradictory) trouble = OfBothSides(left.problems[i], right.problems[i]);
     problem.left_from_board.push_back(has_left ? *left.camera_from_board[i]
                                       : has_right
                                           ? right_from_left.Inverse() * *right.camera_from_board[i]
                                           : Rigid3{});
-    if (!trouble.empty()) continue;
+    if (contradictory) continue;
     if (has_left) AddObservations(problem, static_cast<int>(i), 0, pairs[i].left);
     if (has_right) AddObservations(problem, static_cast<int>(i), 1, pairs[i].right);
     for (const BoardDetection* d : {&pairs[i].left, &pairs[i].right}) {

@@ -11,7 +11,7 @@ namespace plumbline::internal {
 // A first calibration, good to a few pixels, and which pairs of photographs cannot be part of it.
 struct CalibrationSeed {
   BoardProblem problem;                    // the observations of the pairs that are used
-  std::vector<std::string> pair_problems;  // a pair; empty: used
+  std::vector<std::string> pair_problems;  // a pair: why it, or one of its photographs, is left out
 };
 
 // Each camera alone by OpenCV (principal point in the middle, one distortion term), then the right

@@ -18,6 +18,8 @@ namespace {
 constexpr int kMaxRounds = 6;
 constexpr double kBadPairFactor = 4;  // times the median RMS of all photographs
 constexpr int kFolds = 4;
+constexpr double kGrossSigmas =
+    8;  // of the robust scatter: misread points, before the fine limit applies
 
 // Copies the observations of the pairs that `keep` holds.
 BoardProblem WithPairs(const BoardProblem& problem, const std::set<int>& keep) {
@@ -80,26 +82,32 @@ void SolveRobustly(BoardProblem& problem) {
   std::optional<OptimizationInputs> inputs = ToOptimizationInputs(problem);
   if (!inputs) {
     Adjust(problem, {.fix_target = true, .robust = true, .max_iterations = 100});
-    MarkOutliers(problem, 8);
+    MarkOutliers(problem, kGrossSigmas);
     return;
   }
-  // Poses first, then the lenses' cores, then everything; regularised until the last solve, which
-  // alone may throw points out.
-  const auto solve = [&](bool core, bool distortions, bool regularised, bool reject) {
+  // Poses first, then the lenses' cores, then everything. Outliers are marked between solves, by
+  // the robust scatter of the residuals: libmrcal's own rejection takes the structure that a bent
+  // board leaves for bad points, by the hundred.
+  const auto solve = [&](bool core, bool distortions, bool regularised) {
     inputs->do_optimize_intrinsics_core = core;
     inputs->do_optimize_intrinsics_distortions = distortions;
     inputs->do_apply_regularization = regularised;
-    inputs->do_apply_outlier_rejection = reject;
     return SolveWithMrcal(*inputs);
   };
-  solve(false, false, true, false);
-  solve(true, false, true, false);
-  solve(true, true, true, false);
+  solve(false, false, true);
+  solve(true, false, true);
+  solve(true, true, true);
   const bool splined = inputs->lens_model.IsSplined();
-  const MrcalSolveResult last = solve(true, true, splined, true);
-  if (!last.usable())
-    throw InputError("the cameras cannot be calibrated from these photographs: " + last.problem);
-  TakeSolution(*inputs, problem);
+  for (int round = 0; round < kMaxRounds; ++round) {
+    const MrcalSolveResult result = solve(true, true, splined);
+    if (!result.usable()) {
+      throw InputError("the cameras cannot be calibrated from these photographs: " +
+                       result.problem);
+    }
+    TakeSolution(*inputs, problem);
+    if (MarkOutliers(problem, kGrossSigmas) == 0) return;
+    inputs = ToOptimizationInputs(problem);
+  }
 }
 
 void Refine(BoardProblem& problem, const CalibrationOptions& options, bool rigid_target) {
