@@ -18,6 +18,7 @@ endfunction()
 function(plumbline_library name)
   cmake_parse_arguments(ARG "" "" "DEPENDS;PRIVATE" ${ARGN})
   file(GLOB sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*.cc ${CMAKE_CURRENT_SOURCE_DIR}/internal/*.cc)
+  list(FILTER sources EXCLUDE REGEX "/main\\.cc$")  # a program's main() is no part of its library
   if(NOT sources)  # a folder whose issue is still to come: a name to link, nothing in it
     add_library(plumbline_${name} INTERFACE)
     add_library(plumbline::${name} ALIAS plumbline_${name})

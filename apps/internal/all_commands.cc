@@ -1,0 +1,17 @@
+#include "apps/internal/command.h"
+
+namespace plumbline::internal {
+
+std::vector<std::unique_ptr<Command>> AllCommands() {
+  std::vector<std::unique_ptr<Command>> commands;
+  commands.push_back(MakeCalibrateCommand());
+  commands.push_back(MakeMeasureCommand());
+  commands.push_back(MakeDisparityCommand());
+  commands.push_back(MakeInfoCommand());
+  commands.push_back(MakeValidateCommand());
+  commands.push_back(MakeExportCommand());
+  commands.push_back(MakeRecoverCommand());
+  return commands;
+}
+
+}  // namespace plumbline::internal

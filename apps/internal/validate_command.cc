@@ -1,0 +1,48 @@
+#include <fmt/format.h>
+
+#include "apps/internal/command.h"
+#include "apps/internal/result_file.h"
+#include "io/inspect.h"
+
+namespace plumbline::internal {
+namespace {
+
+class ValidateCommand : public Command {
+ public:
+  std::string Name() const override { return "validate"; }
+  std::string Summary() const override {
+    return "Check that a run or a rig file is whole: everything is read.";
+  }
+
+  void Declare(OptionTable& options) override {
+    options.Add(
+        {.name = "FILE", .help = "a run or a rig file (.h5)", .required = true, .positional = true},
+        &file_);
+  }
+
+  CommandReport Run(const CommonOptions&, const std::string&) override {
+    // What cannot be opened at all is refused in words; damage further in is listed.
+    const bool is_series = OpenResultFile(file_).series != nullptr;
+    const std::vector<std::string> faults = Validate(file_);
+    CommandReport report;
+    report.json = {{"file", file_}, {"valid", faults.empty()}, {"faults", faults}};
+    if (faults.empty()) {
+      report.text = fmt::format("{} is whole: {}.\n", file_,
+                                is_series ? "a run with its rig, every frame read" : "a rig file");
+      return report;
+    }
+    report.text = fmt::format("{} is damaged:\n", file_);
+    for (const std::string& fault : faults) report.text += "  " + fault + "\n";
+    report.exit_code = 3;
+    return report;
+  }
+
+ private:
+  std::string file_;
+};
+
+}  // namespace
+
+std::unique_ptr<Command> MakeValidateCommand() { return std::make_unique<ValidateCommand>(); }
+
+}  // namespace plumbline::internal
