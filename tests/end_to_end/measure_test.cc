@@ -92,11 +92,11 @@ TEST(Measure, CalibratesFromChessboardsAndMeasuresWithThatRig) {
 
   const std::string run = (folder / "run.h5").string();
   const auto measured = RunJson("measure --rig " + rig + " --left '" + left + "' --right '" +
-                                right + "' -o " + run + " --frames 0:2 --step 2");
-  EXPECT_EQ(measured["frames_read"], 2);
+                                right + "' -o " + run + " --frames 0:1 --step 2");
+  EXPECT_EQ(measured["frames_read"], 1);
   EXPECT_EQ(RunPlumbline("validate -q " + run).exit_code, 0);
   const auto info = RunJson("info " + run);
-  EXPECT_EQ(info["frames"].size(), 2U);
+  EXPECT_EQ(info["frames"].size(), 1U);
   EXPECT_THAT(info["recipe"].get<std::string>(), HasSubstr("step = 2"));
   EXPECT_EQ(RunJson("info " + rig)["format"], "plumbline-rig");
 
@@ -191,8 +191,8 @@ TEST(Measure, GoesThroughAVideoAndATruncatedCopyOfIt) {
                              " --step 8 --min-distance 800 --max-distance 20000 -o ";
   const bool prove = std::getenv("PLUMBLINE_PROVE") != nullptr;
   const auto whole = RunJson("measure --rig " + rig + " --left " + (data / "left.avi").string() +
-                             common + run.string() + (prove ? "" : " --frames 0:48:8"));
-  EXPECT_EQ(whole["frames_measured"], prove ? 48 : 6);
+                             common + run.string() + (prove ? "" : " --frames 0:48:24"));
+  EXPECT_EQ(whole["frames_measured"], prove ? 48 : 2);
 
   // 40 % of the file: the container still announces all 48 frames.
   const fs::path cut = TestFolder() / "left.avi";
@@ -200,15 +200,15 @@ TEST(Measure, GoesThroughAVideoAndATruncatedCopyOfIt) {
   fs::resize_file(cut, fs::file_size(cut) * 2 / 5);
   const fs::path half = TestFolder() / "half.h5";
   const CommandResult result = RunPlumbline("measure --rig " + rig + " --left " + cut.string() +
-                                            common + half.string() + " --frames ::4");
+                                            common + half.string() + " --frames ::8");
   EXPECT_EQ(result.exit_code, 0) << result.output;
   std::cout << result.output;
   std::smatch match;
-  ASSERT_TRUE(std::regex_search(result.output, match, std::regex("(\\d+) of 12 frames measured")))
+  ASSERT_TRUE(std::regex_search(result.output, match, std::regex("(\\d+) of 6 frames measured")))
       << result.output;
   const int measured = std::stoi(match[1]);
-  EXPECT_GE(measured, 3);
-  EXPECT_LT(measured, 8);
+  EXPECT_GE(measured, 2);
+  EXPECT_LT(measured, 5);
   EXPECT_EQ(RunPlumbline("validate -q " + half.string()).exit_code, 0);
   EXPECT_EQ(RunJson("info " + half.string())["frames"].size(), static_cast<std::size_t>(measured));
 }
