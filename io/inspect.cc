@@ -3,9 +3,13 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <iterator>
 
 #include "calib/error.h"
+#include "io/internal/file_checks.h"
 #include "io/internal/hdf5.h"
+#include "io/internal/rig_group.h"
+#include "io/internal/series_pack.h"
 #include "io/rig_file.h"
 #include "io/series_reader.h"
 
@@ -34,21 +38,48 @@ void AddRig(const StereoRig& rig, FileSummary* summary) {
   summary->calibration_modes = rig.modes.count();
 }
 
-void CheckSurface(const Surface& surface, std::int64_t frame, std::vector<std::string>* findings) {
-  std::int64_t missing = 0, surplus = 0, without_sigma = 0;
-  for (std::size_t i = 0; i < surface.status.pixel_count(); ++i) {
-    const bool ok = surface.status.data()[i] == Status::kOk;
-    const auto& position = surface.position_mm.data()[i];
-    if (ok && !position.allFinite()) ++missing;
-    if (!ok && !position.array().isNaN().all()) ++surplus;
-    if (ok && !surface.sigma_random_mm.data()[i].allFinite()) ++without_sigma;
+void Append(std::vector<std::string> more, std::vector<std::string>* findings) {
+  std::move(more.begin(), more.end(), std::back_inserter(*findings));
+}
+
+// What the file says it is; a finding where this program does not know it.
+std::string FormatOf(hid_t file, std::vector<std::string>* findings) {
+  const std::string format = internal::hdf5::GetText(file, "format");
+  if (format != "plumbline-series" && format != "plumbline-rig") {
+    findings->push_back(fmt::format(
+        "the file is neither a series nor a rig: its attribute format is \"{}\"", format));
+    return "";
   }
-  const auto add = [&](std::int64_t count, const char* what) {
-    if (count > 0) findings->push_back(fmt::format("frame {}: {} points {}", frame, count, what));
-  };
-  add(missing, "have the status ok and no position");
-  add(surplus, "have a position that their status denies");
-  add(without_sigma, "have the status ok and no random sigma");
+  const double version = internal::hdf5::GetNumber(file, "format_version", 1);
+  if (!(version >= 1 && version <= static_cast<double>(internal::kFormatVersion))) {
+    findings->push_back(
+        fmt::format("the file is of the format version {}; this program reads up to {}", version,
+                    internal::kFormatVersion));
+    return "";
+  }
+  return format;
+}
+
+void CheckFile(const fs::path& path, std::vector<std::string>* findings) {
+  try {
+    const internal::hdf5::Id file = internal::hdf5::OpenForeignFile(path);
+    const std::string format = FormatOf(file.get(), findings);
+    if (format.empty()) return;
+    const bool is_series = format == "plumbline-series";
+    std::vector<std::string> layout = internal::CheckLayout(file.get(), is_series);
+    // Where something is missing, the readers would only say so again.
+    if (layout.empty()) {
+      ReadRigFile(path);
+      if (is_series) SeriesReader{path};
+    }
+    Append(std::move(layout), findings);
+    Append(internal::CheckDatasets(file.get()), findings);
+    if (is_series) Append(internal::CheckValues(file.get()), findings);
+  } catch (const internal::hdf5::Error& error) {
+    findings->push_back(fmt::format("{} cannot be read: {}", path.string(), error.what()));
+  } catch (const InputError& error) {
+    findings->emplace_back(error.what());
+  }
 }
 
 }  // namespace
@@ -92,19 +123,15 @@ FileSummary Inspect(const fs::path& file) {
 
 std::vector<std::string> Validate(const fs::path& file) {
   std::vector<std::string> findings;
-  try {
-    if (!IsSeries(file)) {
-      ReadRigFile(file);
-      return findings;
-    }
-    const SeriesReader reader(file);
-    reader.rig();
-    for (std::int64_t i = 0; i < reader.frame_count(); ++i) {
-      CheckSurface(reader.Frame(i).surface, i, &findings);
-    }
-  } catch (const InputError& error) {
-    findings.emplace_back(error.what());
+  const fs::path parts = internal::PartsFolder(file);
+  std::error_code ignored;
+  if (fs::exists(parts, ignored)) {
+    findings.push_back(
+        fmt::format("{} holds the frames of a run that was not finished; recover them (plumbline "
+                    "recover {}) or delete that folder",
+                    parts.string(), file.string()));
   }
+  CheckFile(file, &findings);
   return findings;
 }
 

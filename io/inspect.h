@@ -28,9 +28,11 @@ struct FileSummary {
 // Throws InputError where the file can be read neither as a series nor as a rig file.
 FileSummary Inspect(const std::filesystem::path& file);
 
-// What is wrong with a file, one sentence each; empty: it is whole. Reads every frame: each value
-// must be a number exactly where its status is ok. A file that cannot be read at all is one
-// finding.
+// What is wrong with a file by docs/file_format.md, one sentence each; empty: it is whole. Looks
+// for groups, datasets and attributes that are missing, shapes that disagree, datasets without
+// units, long_name or axes, the folder of an unfinished run; of a series it reads every frame: each
+// value must be a number exactly where its status is ok. A file that cannot be opened is one
+// finding. Memory: that of one frame.
 std::vector<std::string> Validate(const std::filesystem::path& file);
 
 }  // namespace plumbline

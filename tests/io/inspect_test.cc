@@ -8,26 +8,171 @@
 
 namespace plumbline {
 namespace {
+namespace fs = std::filesystem;
 using ::testing::Contains;
+using ::testing::ElementsAre;
 using ::testing::HasSubstr;
+using ::testing::IsEmpty;
 
-TEST(Inspect, CountsWhatASeriesHoldsAndValidateFindsWhatWasSpoilt) {
-  const auto file = testing::TestFolder() / "run.h5";
-  SeriesWriter writer(file, testing::SmallHeader());
+SeriesFrame FrameWithoutSurface() {
+  SeriesFrame bad = testing::SmallFrame(1);
+  bad.problem = "left1.png is truncated";
+  bad.surface = Surface{};
+  bad.ground = GroundRecord{};
+  bad.ground.problem = "no surface";
+  return bad;
+}
+
+// Frames 0 and 2 have surfaces, frame 1 has none.
+fs::path WriteThreeFrames(const fs::path& file) {
+  SeriesHeader header = testing::SmallHeader();
+  header.rig_extras.arrays = {
+      {"board/point_id", "1", "number of the point", {2}, {0, 1}, {}},
+      {"board/points", "mm", "target points", {2, 3}, {0, 0, 0, 10, 0, 1}, {"board/point_id"}}};
+  SeriesWriter writer(file, header);
   writer.Commit(testing::SmallFrame(0));
-  writer.Commit(testing::SmallFrame(1));
+  writer.Commit(FrameWithoutSurface());
+  writer.Commit(testing::SmallFrame(2));
   writer.Close();
-  const FileSummary summary = Inspect(file);
-  EXPECT_EQ(summary.frames, 2);
+  return file;
+}
+
+// One way to damage a file: lines of Python on the open file f, and what has to be found.
+struct Damage {
+  const char* python;
+  const char* finding;
+};
+
+// Damages one copy of a whole file each, all in one run of Python, and looks for the findings.
+void ExpectFindings(const fs::path& whole, const std::vector<Damage>& damages) {
+  std::string script =
+      "import sys, shutil, h5py, numpy as np\n"
+      "def damaged(k):\n"
+      "    shutil.copy(sys.argv[1], sys.argv[1] + str(k))\n"
+      "    return h5py.File(sys.argv[1] + str(k), 'r+')\n";
+  for (std::size_t k = 0; k < damages.size(); ++k) {
+    script += "with damaged(" + std::to_string(k) + ") as f: " + damages[k].python + "\n";
+  }
+  const auto made = testing::RunPython(script, whole.string());
+  ASSERT_EQ(made.exit_code, 0) << made.output;
+  for (std::size_t k = 0; k < damages.size(); ++k) {
+    EXPECT_THAT(Validate(whole.string() + std::to_string(k)),
+                Contains(HasSubstr(damages[k].finding)))
+        << damages[k].python;
+  }
+}
+
+TEST(Inspect, CountsWhatASeriesHolds) {
+  const FileSummary summary = Inspect(WriteThreeFrames(testing::TestFolder() / "run.h5"));
+  EXPECT_EQ(summary.frames, 3);
+  EXPECT_EQ(summary.frames_with_surface, 2);
+  EXPECT_EQ(summary.frames_with_ground, 2);
   EXPECT_EQ(summary.points, 56);
   EXPECT_EQ(summary.grid_columns, 7);
-  EXPECT_TRUE(Validate(file).empty());
-  testing::RunPython(
-      "import sys, h5py\nh5py.File(sys.argv[1], 'r+')['surface/position'][1, 0, 3] = 5\n",
-      file.string());
-  EXPECT_THAT(Validate(file), Contains(HasSubstr("frame 1: 1 points have a position")));
-  std::filesystem::resize_file(file, 5000);
-  EXPECT_THAT(Validate(file), Contains(HasSubstr("run.h5")));
+}
+
+TEST(Validate, FindsNothingInWholeFiles) {
+  const fs::path folder = testing::TestFolder();
+  EXPECT_THAT(Validate(WriteThreeFrames(folder / "run.h5")), IsEmpty());
+  SeriesHeader header = testing::SmallHeader();
+  header.rig.modes = {};
+  SeriesWriter(folder / "empty.h5", header).Close();
+  EXPECT_THAT(Validate(folder / "empty.h5"), IsEmpty());
+  WriteRigFile(folder / "rig.h5", testing::SmallRig());
+  EXPECT_THAT(Validate(folder / "rig.h5"), IsEmpty());
+}
+
+TEST(Validate, FindsWhatIsMissingInASeries) {
+  ExpectFindings(
+      WriteThreeFrames(testing::TestFolder() / "run.h5"),
+      {{"del f['surface/position'].attrs['units']", "/surface/position has no units"},
+       {"f['frames/left_id'].attrs['long_name'] = ''", "/frames/left_id has no long_name"},
+       {"del f['rig/board/points'].attrs['units']", "/rig/board/points has no units"},
+       {"del f['surface/status'].attrs['DIMENSION_LIST']",
+        "dimension 0 of /surface/status has no axis"},
+       {"f['ground/rms'].dims[0].detach_scale(f['frames/index'])",
+        "dimension 0 of /ground/rms has no axis"},
+       {"del f['ground']", "there is no group /ground"},
+       {"del f['ground/rms']", "there is no dataset /ground/rms"},
+       {"del f['grid/row']", "there is no dataset /grid/row"},
+       {"del f.attrs['inputs']", "the file has no attribute inputs"},
+       {"del f.attrs['recipe']", "the file has no attribute recipe"},
+       {"del f['surface'].attrs['signal']", "/surface has no attribute signal"},
+       {"f['surface'].attrs['signal'] = 'depth'", "/surface names the dataset depth"},
+       {"del f['rig/left'].attrs['lens_model']", "/rig/left has no attribute lens_model"}});
+}
+
+TEST(Validate, FindsShapesThatDisagree) {
+  ExpectFindings(
+      WriteThreeFrames(testing::TestFolder() / "run.h5"),
+      {{"f['surface/status'].resize(2, axis=0)",
+        "/surface/status holds 2 x 5 x 7, which should be 3 frames x 5 rows x 7 columns"},
+       {"f['surface/status'].resize(2, axis=0)",
+        "dimension 0 of /surface/status has 2 entries and an axis of 3"},
+       {"del f['surface/correlation']; f['surface/correlation'] = np.zeros((3, 5))",
+        "/surface/correlation holds 3 x 5, which should be 3 frames x 5 rows x 7 columns"},
+       {"del f['ground/normal']; f['ground/normal'] = np.zeros((3, 4))",
+        "/ground/normal holds 3 x 4, which should be 3 frames x 3"},
+       {"del f['grid/step_px']; f['grid/step_px'] = np.zeros(2, 'i4')",
+        "/grid/step_px holds 2, which should be one value"},
+       {"del f['frames/time_s']; f['frames/time_s'] = np.zeros(4)",
+        "/frames/time_s holds 4, which should be 3 frames"},
+       {"del f['rig/mode']; f['rig/mode'] = np.zeros(4)", "/rig/modes holds 5 x 24"}});
+}
+
+TEST(Validate, FindsValuesThatTheirStatusDenies) {
+  ExpectFindings(
+      WriteThreeFrames(testing::TestFolder() / "run.h5"),
+      {{"f['surface/position'][2, 0, 3] = 5", "frame 2: 1 points have a position that"},
+       {"f['surface/position_errors'][2, 0, 3, 1] = 5", "frame 2: 1 points have a combined sigma"},
+       {"f['surface/position'][0, 0, :2, 2] = np.nan",
+        "frame 0: 2 points have the status ok and no position"},
+       {"f['surface/position_errors_random'][0, 0, 0] = np.inf",
+        "frame 0: 1 points have the status ok and no random sigma"},
+       {"f['surface/position_errors_calibration'][0, 0, 0] = np.nan",
+        "frame 0: 1 points have the status ok and no calibration sigma"},
+       {"f['surface/status'][0, 0, 3] = 0", "frame 0: 1 points have the status ok and no position"},
+       {"f['surface/status'][0, 0, 0] = 7", "frame 0: 1 points have a position that"},
+       {"f['surface/status'][0, 0, 0] = 77", "frame 0: 1 points have an unknown status"},
+       {"f['surface/status'][1, 2, 2] = 0",
+        "frame 1: 1 points have the status ok in a frame without a surface"},
+       {"f['frames/status'][1] = 0",
+        "frame 1 holds a surface and yet a reason why not: left1.png is truncated"},
+       {"f['ground/rms'][1] = 1", "frame 1: no ground plane was found, and /ground/rms holds"},
+       {"f['ground/normal'][0, 2] = np.nan", "frame 0: a ground plane was found and has no normal"},
+       {"f['ground/status'][1] = 0", "frame 1: a ground plane was found and has no offset"}});
+}
+
+TEST(Validate, FindsWhatIsWrongInARigFile) {
+  const fs::path file = testing::TestFolder() / "rig.h5";
+  RigFileExtras extras;
+  extras.arrays = {{"residuals", "pixel", "residuals", {2, 2}, {0.5, -1, 2, 3}, {}}};
+  WriteRigFile(file, testing::SmallRig(), extras);
+  ExpectFindings(
+      file,
+      {{"del f['rig/residuals'].attrs['units']", "/rig/residuals has no units"},
+       {"del f['rig/modes'].attrs['long_name']", "/rig/modes has no long_name"},
+       {"del f['rig/modes'].attrs['DIMENSION_LIST']", "dimension 1 of /rig/modes has no axis"},
+       {"del f['rig/left/cameramodel']", "there is no dataset /rig/left/cameramodel"},
+       {"del f['rig/parameter']; f['rig/parameter'] = np.zeros(3)",
+        "/rig/parameter holds 3, which should be 24 parameters"},
+       {"f['rig/modes'][0, 0] = np.nan", "/rig/modes holds values that are no numbers"},
+       {"del f.attrs['created']", "the file has no attribute created"},
+       {"f.attrs['format'] = 'something'", "neither a series nor a rig"},
+       {"f.attrs['format_version'] = 99", "format version 99"}});
+}
+
+TEST(Validate, FindsTheFolderOfAnUnfinishedRun) {
+  const fs::path file = WriteThreeFrames(testing::TestFolder() / "run.h5");
+  fs::create_directory(file.string() + ".parts");
+  EXPECT_THAT(Validate(file), ElementsAre(HasSubstr("run.h5.parts holds the frames of a run")));
+}
+
+TEST(Validate, AFileThatDoesNotOpenIsOneFinding) {
+  const fs::path file = WriteThreeFrames(testing::TestFolder() / "run.h5");
+  fs::resize_file(file, 5000);
+  EXPECT_THAT(Validate(file), ElementsAre(HasSubstr("run.h5 cannot be read")));
+  EXPECT_THAT(Validate("/nowhere/run.h5"), ElementsAre(HasSubstr("/nowhere/run.h5")));
 }
 
 }  // namespace
