@@ -14,7 +14,7 @@ find_package(nlohmann_json REQUIRED)
 find_package(OpenSSL REQUIRED COMPONENTS Crypto)
 find_package(PkgConfig REQUIRED)
 # The serial build by name: plain `hdf5` may be the MPI one, and OpenCV brings the serial one along.
-pkg_check_modules(HDF5 REQUIRED IMPORTED_TARGET hdf5-serial)
+pkg_check_modules(HDF5_SERIAL REQUIRED IMPORTED_TARGET hdf5-serial)
 pkg_check_modules(PNG REQUIRED IMPORTED_TARGET libpng)
 pkg_check_modules(JPEG REQUIRED IMPORTED_TARGET libjpeg)
 pkg_check_modules(TIFF REQUIRED IMPORTED_TARGET libtiff-4)
@@ -40,6 +40,6 @@ target_include_directories(plumbline_opencv SYSTEM INTERFACE ${OpenCV_INCLUDE_DI
 target_link_libraries(plumbline_opencv INTERFACE ${OpenCV_LIBS})
 
 # hdf5_hl holds the dimension scales; pkg-config does not list it.
-find_library(HDF5_HL_LIBRARY hdf5_hl HINTS ${HDF5_LIBRARY_DIRS} REQUIRED)
+find_library(HDF5_HL_LIBRARY hdf5_hl HINTS ${HDF5_SERIAL_LIBRARY_DIRS} REQUIRED)
 add_library(plumbline_hdf5 INTERFACE)
-target_link_libraries(plumbline_hdf5 INTERFACE ${HDF5_HL_LIBRARY} PkgConfig::HDF5)
+target_link_libraries(plumbline_hdf5 INTERFACE ${HDF5_HL_LIBRARY} PkgConfig::HDF5_SERIAL)
