@@ -51,6 +51,7 @@ std::unique_ptr<Command> MakeInfoCommand();
 std::unique_ptr<Command> MakeValidateCommand();
 std::unique_ptr<Command> MakeExportCommand();
 std::unique_ptr<Command> MakeRecoverCommand();
+std::unique_ptr<Command> MakeDemoCommand();
 
 // In the order of --help.
 std::vector<std::unique_ptr<Command>> AllCommands();

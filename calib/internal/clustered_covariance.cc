@@ -178,7 +178,7 @@ RigCovariance ClusteredCovariance(const BoardProblem& problem, bool target_free,
     const Eigen::MatrixXd without = S - Reduce(problem, layout, by_pair[g]).information;
     const Eigen::LDLT<Eigen::MatrixXd> solver(equilibrated(without));
     const Eigen::VectorXd delta =
-        -(scale.asDiagonal() * solver.solve(scale.asDiagonal() * scores[g]));
+        scale.asDiagonal() * solver.solve(scale.asDiagonal() * scores[g]);
     deltas.col(static_cast<Eigen::Index>(g)) = delta.head(layout.rig_size);
   });
   // Whiten, shrink, and back. The sum of squares of the deltas times (G - 1) / G is the jackknife.
