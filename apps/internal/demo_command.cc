@@ -17,7 +17,9 @@ namespace fs = std::filesystem;
 // them state.
 constexpr const char* kPhotographs = "/usr/share/doc/opencv-doc/examples/data";
 constexpr const char* kBoard = "chessboard:9x6:25mm";
-constexpr const char* kMeasuredPair = "01";
+constexpr const char* kMeasuredPair = "03";
+constexpr const char* kBoardRegion =
+    "190,75,410,315";  // of the left image: where that pair shows the board
 
 // Runs one command as a user would, showing the line first.
 void RunStep(const std::string& title, const std::vector<std::string>& arguments) {
@@ -82,7 +84,8 @@ CommandReport DemoCommand::Run(const CommonOptions& common, const std::string&) 
   step("2. From a pair of images to a surface with error bars",
        {"measure", "--rig", result("rig.h5"), "--left",
         photograph(std::string("left") + kMeasuredPair), "--right",
-        photograph(std::string("right") + kMeasuredPair), "-o", result("run.h5"), "--overwrite"});
+        photograph(std::string("right") + kMeasuredPair), "--roi", kBoardRegion, "-o",
+        result("run.h5"), "--overwrite"});
   step("3. Is the file whole?", {"validate", result("run.h5")});
   step("4. As points for other programs",
        {"export", result("run.h5"), "--format", "ply", "-o", result("run.ply")});
