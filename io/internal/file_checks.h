@@ -17,8 +17,9 @@ std::vector<std::string> CheckLayout(hid_t file, bool is_series);
 std::vector<std::string> CheckDatasets(hid_t file);
 
 // Of every frame of a series: values are numbers where the status says so, and NaN elsewhere.
-// Sigmas from the calibration may be missing where the rig has no calibration modes. Datasets that
-// are not there, or not of the size of /surface/status, are passed over: CheckLayout() names them.
+// Sigmas from the calibration may be missing at single points, and everywhere where the rig has no
+// calibration modes. Datasets that are not there, or not of the size of /surface/status, are passed
+// over: CheckLayout() names them.
 std::vector<std::string> CheckValues(hid_t file);
 
 }  // namespace plumbline::internal

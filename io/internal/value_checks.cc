@@ -17,11 +17,15 @@ using Findings = std::vector<std::string>;
 constexpr hsize_t kMaxFrameElements = hsize_t{3} << 28;
 constexpr hsize_t kMaxFrames = 100'000'000;
 
+// Where there has to be a number: nowhere, at one of the points with the status ok at least, or at
+// all of them.
+enum class Needed { kNowhere, kSomewhere, kEverywhere };
+
 // A dataset whose first dimension counts the frames.
 struct FrameField {
   std::string path;
-  std::string what;     // of a point or frame
-  bool needed = false;  // a number wherever the status is ok
+  std::string what;  // of a point or frame
+  Needed needed = Needed::kNowhere;
   Id dataset;
 };
 
@@ -37,28 +41,33 @@ void OpenIfThere(hid_t file, FrameField field, const Shape& leading,
 
 std::vector<FrameField> SurfaceFields(hid_t file, const Shape& size, bool has_modes) {
   std::vector<FrameField> fields;
-  const auto add = [&](int index, const char* what, bool needed) {
+  const auto add = [&](int index, const char* what, Needed needed) {
     const std::string name(kPointFields[static_cast<std::size_t>(index)].name);
     OpenIfThere(file, {"/surface/" + name, what, needed, Id()}, size, &fields);
   };
-  add(kPosition, "position", true);
-  add(kErrorsRandom, "random sigma", true);
-  add(kErrorsCalibration, "calibration sigma", has_modes);
-  add(kErrors, "combined sigma", has_modes);
-  add(kCovariance, "covariance", true);
+  add(kPosition, "position", Needed::kEverywhere);
+  add(kErrorsRandom, "random sigma", Needed::kEverywhere);
+  // A mode may bend the rays of a point so far that they no longer meet; it then has a position and
+  // no sigma of the calibration.
+  const Needed by_modes = has_modes ? Needed::kSomewhere : Needed::kNowhere;
+  add(kErrorsCalibration, "calibration sigma", by_modes);
+  add(kErrors, "combined sigma", by_modes);
+  add(kCovariance, "covariance", Needed::kEverywhere);
   return fields;
 }
 
 std::vector<FrameField> GroundFields(hid_t file, hsize_t frames) {
   std::vector<FrameField> fields;
   for (const char* name : {"normal", "offset", "ground_from_rig"}) {
-    OpenIfThere(file, {std::string("/ground/") + name, name, true, Id()}, {frames}, &fields);
+    OpenIfThere(file, {std::string("/ground/") + name, name, Needed::kEverywhere, Id()}, {frames},
+                &fields);
   }
   for (const char* name :
        {"covariance_random", "covariance_calibration", "offset_errors_random",
         "offset_errors_calibration", "angles_rad", "angles_rad_errors_random",
         "angles_rad_errors_calibration", "e1", "e2", "centroid", "rms", "inlier_fraction"}) {
-    OpenIfThere(file, {std::string("/ground/") + name, name, false, Id()}, {frames}, &fields);
+    OpenIfThere(file, {std::string("/ground/") + name, name, Needed::kNowhere, Id()}, {frames},
+                &fields);
   }
   return fields;
 }
@@ -67,16 +76,18 @@ std::vector<FrameField> GroundFields(hid_t file, hsize_t frames) {
 void CheckPoints(const std::vector<float>& values, const std::vector<std::uint8_t>& status,
                  const FrameField& field, hsize_t frame, Findings* findings) {
   const std::size_t components = values.size() / status.size();
-  std::int64_t missing = 0, surplus = 0;
+  std::int64_t count_ok = 0, missing = 0, surplus = 0;
   for (std::size_t i = 0; i < status.size(); ++i) {
     const float* value = values.data() + i * components;
     const bool ok = status[i] == static_cast<std::uint8_t>(Status::kOk);
     const auto is_finite = [](float v) { return std::isfinite(v); };
     const auto is_nan = [](float v) { return std::isnan(v); };
-    if (ok && field.needed && !std::all_of(value, value + components, is_finite)) ++missing;
+    if (ok) ++count_ok;
+    if (ok && !std::all_of(value, value + components, is_finite)) ++missing;
     if (!ok && !std::all_of(value, value + components, is_nan)) ++surplus;
   }
-  if (missing > 0) {
+  if (missing > 0 && (field.needed == Needed::kEverywhere ||
+                      (field.needed == Needed::kSomewhere && missing == count_ok))) {
     findings->push_back(fmt::format("frame {}: {} points have the status ok and no {}", frame,
                                     missing, field.what));
   }
@@ -124,7 +135,8 @@ void CheckGrounds(hid_t file, hsize_t frames, Findings* findings) {
       const auto values = hdf5::ReadSlab<double>(field.dataset, i, 16);
       const auto is_finite = [](double v) { return std::isfinite(v); };
       const auto is_nan = [](double v) { return std::isnan(v); };
-      if (found && field.needed && !std::all_of(values.begin(), values.end(), is_finite)) {
+      if (found && field.needed == Needed::kEverywhere &&
+          !std::all_of(values.begin(), values.end(), is_finite)) {
         findings->push_back(
             fmt::format("frame {}: a ground plane was found and has no {}", i, field.what));
       }

@@ -74,6 +74,13 @@ TEST(Inspect, CountsWhatASeriesHolds) {
 TEST(Validate, FindsNothingInWholeFiles) {
   const fs::path folder = testing::TestFolder();
   EXPECT_THAT(Validate(WriteThreeFrames(folder / "run.h5")), IsEmpty());
+  SeriesFrame frame = testing::SmallFrame(0);
+  const auto no_sigma = Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN());
+  frame.surface.sigma_calibration_mm(0, 0) = no_sigma;  // the rays of one point, bent too far
+  SeriesWriter one(folder / "one.h5", testing::SmallHeader());
+  one.Commit(frame);
+  one.Close();
+  EXPECT_THAT(Validate(folder / "one.h5"), IsEmpty());
   SeriesHeader header = testing::SmallHeader();
   header.rig.modes = {};
   SeriesWriter(folder / "empty.h5", header).Close();
@@ -129,8 +136,8 @@ TEST(Validate, FindsValuesThatTheirStatusDenies) {
         "frame 0: 2 points have the status ok and no position"},
        {"f['surface/position_errors_random'][0, 0, 0] = np.inf",
         "frame 0: 1 points have the status ok and no random sigma"},
-       {"f['surface/position_errors_calibration'][0, 0, 0] = np.nan",
-        "frame 0: 1 points have the status ok and no calibration sigma"},
+       {"f['surface/position_errors_calibration'][0] = np.nan",
+        "frame 0: 28 points have the status ok and no calibration sigma"},
        {"f['surface/status'][0, 0, 3] = 0", "frame 0: 1 points have the status ok and no position"},
        {"f['surface/status'][0, 0, 0] = 7", "frame 0: 1 points have a position that"},
        {"f['surface/status'][0, 0, 0] = 77", "frame 0: 1 points have an unknown status"},
