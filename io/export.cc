@@ -5,6 +5,7 @@
 #include <array>
 #include <bit>
 #include <cerrno>
+#include <cmath>
 #include <fstream>
 
 #include "io/internal/durable_file.h"
@@ -35,10 +36,10 @@ PointValues ValuesOf(const Surface& s, int r, int c) {
 }
 
 template <typename Use>
-void ForEachPoint(const Surface& surface, const Use& use) {
+void ForEachPoint(const Surface& surface, const Use& use, bool all = false) {
   for (int r = 0; r < surface.status.height(); ++r) {
     for (int c = 0; c < surface.status.width(); ++c) {
-      if (surface.status(r, c) == Status::kOk) use(r, c);
+      if (all || surface.status(r, c) == Status::kOk) use(r, c);
     }
   }
 }
@@ -75,16 +76,22 @@ void ExportPly(const fs::path& file, const SeriesFrame& frame) {
   });
 }
 
-void ExportCsv(const fs::path& file, const SeriesFrame& frame) {
+void ExportCsv(const fs::path& file, const SeriesFrame& frame, CsvPoints points) {
+  const bool all = points == CsvPoints::kAll;
   WriteStream(file, [&](std::ofstream& out) {
     out << "row,col,x_mm,y_mm,z_mm,sigma_random_x_mm,sigma_random_y_mm,sigma_random_z_mm,"
            "sigma_calibration_x_mm,sigma_calibration_y_mm,sigma_calibration_z_mm,correlation,"
-           "epipolar_px\n";
-    ForEachPoint(frame.surface, [&](int r, int c) {
+           "epipolar_px"
+        << (all ? ",status\n" : "\n");
+    const auto write = [&](int r, int c) {
       out << r << ',' << c;
-      for (const float v : ValuesOf(frame.surface, r, c)) out << fmt::format(",{:.9g}", v);
+      for (const float v : ValuesOf(frame.surface, r, c)) {
+        out << (std::isnan(v) ? ",nan" : fmt::format(",{:.9g}", v));  // never -nan
+      }
+      if (all) out << ',' << Name(frame.surface.status(r, c));
       out << '\n';
-    });
+    };
+    ForEachPoint(frame.surface, write, all);
   });
 }
 

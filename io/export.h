@@ -13,7 +13,13 @@ namespace plumbline {
 // sigma_calibration_x.._z (all mm, one standard deviation), correlation, epipolar_px.
 void ExportPly(const std::filesystem::path& file, const SeriesFrame& frame);
 
-// CSV with one heading line that names the units: row, column, then the same values.
-void ExportCsv(const std::filesystem::path& file, const SeriesFrame& frame);
+// The points of the grid that a table holds: those with a value, or all of them.
+enum class CsvPoints { kOk, kAll };
+
+// CSV with one heading line that names the units: row, column, then the same values. With kAll the
+// whole grid, in row order, with a last column `status` of names (calib/status.h); values that are
+// not there are `nan`. A frame without a surface has no points.
+void ExportCsv(const std::filesystem::path& file, const SeriesFrame& frame,
+               CsvPoints points = CsvPoints::kOk);
 
 }  // namespace plumbline

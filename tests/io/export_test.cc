@@ -32,5 +32,21 @@ print('same')
   EXPECT_THAT(read.output, ::testing::HasSubstr("same"));
 }
 
+TEST(Export, ACsvOfAllPointsSaysWhyThereIsNoValue) {
+  const auto file = testing::TestFolder() / "a.csv";
+  ExportCsv(file, testing::SmallFrame(2), CsvPoints::kAll);
+  const auto read = testing::RunPython(R"py(
+import sys, numpy as np
+t = np.genfromtxt(sys.argv[1], delimiter=',', names=True, dtype=None, encoding='utf-8')
+k = np.arange(35)
+np.testing.assert_array_equal(t['row'] * 7 + t['col'], k)
+np.testing.assert_array_equal(t['status'], np.where(k % 5 != 3, 'ok', 'occluded'))
+np.testing.assert_allclose(t['x_mm'], np.where(k % 5 != 3, 2 + 0.1 * k, np.nan), rtol=1e-6)
+print('same')
+)py",
+                                       file.string());
+  EXPECT_THAT(read.output, ::testing::HasSubstr("same"));
+}
+
 }  // namespace
 }  // namespace plumbline
