@@ -151,6 +151,32 @@ class TargetPrior : public ceres::SizedCostFunction<3, 3> {
   double weight_;
 };
 
+// (control point - anchor) / sigma of a splined lens; the core has no residuals.
+class SplinePrior : public ceres::CostFunction {
+ public:
+  explicit SplinePrior(const Eigen::VectorXd& anchor) : anchor_(anchor) {
+    *mutable_parameter_block_sizes() = {static_cast<int>(anchor.size())};
+    set_num_residuals(static_cast<int>(anchor.size()) - kSplineCore);
+  }
+
+  bool Evaluate(double const* const* parameters, double* residuals,
+                double** jacobians) const override {
+    const Eigen::Index n = num_residuals();
+    const Eigen::Map<const Eigen::VectorXd> intrinsics(parameters[0], anchor_.size());
+    Eigen::Map<Eigen::VectorXd>(residuals, n) = (intrinsics - anchor_).tail(n) / kSplineSigma;
+    if (jacobians != nullptr && jacobians[0] != nullptr) {
+      Eigen::Map<Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, Eigen::RowMajor>> J(
+          jacobians[0], n, anchor_.size());
+      J.setZero();
+      J.rightCols(n).diagonal().setConstant(1 / kSplineSigma);
+    }
+    return true;
+  }
+
+ private:
+  Eigen::VectorXd anchor_;
+};
+
 using Motion = std::array<double, 6>;
 
 Motion ToMotion(const Rigid3& rigid) {
@@ -284,6 +310,14 @@ void Adjust(BoardProblem& problem, const AdjustmentOptions& options) {
     if (!ceres_problem.HasParameterBlock(block)) continue;
     ordering->AddElementToGroup(block, 1);
     if (options.fix_cameras) HoldConstant(ceres_problem, block);
+  }
+  for (int camera : {0, 1}) {
+    const Eigen::VectorXd& anchor = problem.spline_anchor[static_cast<std::size_t>(camera)];
+    if (anchor.size() == 0 || options.fix_cameras) continue;
+    ceres_problem.AddResidualBlock(new SplinePrior(anchor), nullptr, blocks.Intrinsics(camera));
+    ceres_problem.SetManifold(
+        blocks.Intrinsics(camera),
+        new ceres::SubsetManifold(static_cast<int>(anchor.size()), {0, 1, 2, 3}));
   }
   ceres::Solver::Options solver;
   // Eigen's own factorisations: unlike a threaded BLAS they give the same bits every time.

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <vector>
 
 #include "calib/stereo_rig.h"
@@ -33,8 +34,19 @@ struct BoardProblem {
   double floor_px = 0;  // model error added in quadrature to the claimed sigmas, so that chi^2 per
                         // degree of freedom is 1
 
+  // Splined lenses: the control points as libmrcal's solve left them (all intrinsics, left and
+  // right). Control points that no photograph reaches, and the turn of the camera frame that a
+  // shift of all of them imitates, are known to kSplineSigma about these values and no better; the
+  // core (focal lengths and centre), which they can replace, is held. Empty for other lenses.
+  std::array<Eigen::VectorXd, 2> spline_anchor = {};
+
   double Sigma(const BoardObservation& o) const;
 };
+
+// Prior standard deviation of a spline's control point, in its own unit (tangent of half the angle,
+// times two): about 0.6 degrees, far wider than what photographs say where there are any.
+inline constexpr double kSplineSigma = 0.01;
+inline constexpr int kSplineCore = 4;  // parameters before the control points
 
 struct AdjustmentOptions {
   bool fix_cameras = false;  // intrinsics and right_from_left stay

@@ -81,6 +81,9 @@ std::string WhyBad(const BoardProblem& problem, int pair, double median_px) {
 void SolveRobustly(BoardProblem& problem) {
   std::optional<OptimizationInputs> inputs = ToOptimizationInputs(problem);
   if (!inputs) {
+    if (problem.rig.left.model().IsSplined()) {
+      problem.spline_anchor = {problem.rig.left.parameters(), problem.rig.right.parameters()};
+    }
     Adjust(problem, {.fix_target = true, .robust = true, .max_iterations = 100});
     MarkOutliers(problem, kGrossSigmas);
     return;
@@ -96,15 +99,18 @@ void SolveRobustly(BoardProblem& problem) {
   };
   solve(false, false, true);
   solve(true, false, true);
-  solve(true, true, true);
+  // A spline can imitate its own core: the core stays where the pinhole solve put it.
   const bool splined = inputs->lens_model.IsSplined();
+  solve(!splined, true, true);
   for (int round = 0; round < kMaxRounds; ++round) {
-    const MrcalSolveResult result = solve(true, true, splined);
+    const MrcalSolveResult result = solve(!splined, true, splined);
     if (!result.usable()) {
       throw InputError("the cameras cannot be calibrated from these photographs: " +
                        result.problem);
     }
     TakeSolution(*inputs, problem);
+    if (splined)
+      problem.spline_anchor = {problem.rig.left.parameters(), problem.rig.right.parameters()};
     if (MarkOutliers(problem, kGrossSigmas) == 0) return;
     inputs = ToOptimizationInputs(problem);
   }

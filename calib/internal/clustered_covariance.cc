@@ -136,6 +136,15 @@ RigCovariance ClusteredCovariance(const BoardProblem& problem, bool target_free,
     S += pair.information;
     scores[g] = std::move(pair.score);
   }
+  for (int camera : {0, 1}) {  // splined lenses: the prior of the control points; the core is held
+    const Eigen::Index n = problem.spline_anchor[static_cast<std::size_t>(camera)].size();
+    if (n == 0) continue;
+    const Eigen::Index first = camera == 0 ? layout.left : layout.right;
+    S.diagonal().segment(first + kSplineCore, n - kSplineCore).array() +=
+        1 / (kSplineSigma * kSplineSigma);
+    S.diagonal().segment(first, kSplineCore).array() *= 1e12;
+    for (Eigen::VectorXd& score : scores) score.segment(first, kSplineCore).setZero();
+  }
   if (target_free) {
     for (int t : layout.target) {
       if (t >= 0) S.diagonal().segment<3>(t).array() += 1 / (target_sigma_mm * target_sigma_mm);
@@ -177,8 +186,7 @@ RigCovariance ClusteredCovariance(const BoardProblem& problem, bool target_free,
   tbb::parallel_for(std::size_t{0}, G, [&](std::size_t g) {
     const Eigen::MatrixXd without = S - Reduce(problem, layout, by_pair[g]).information;
     const Eigen::LDLT<Eigen::MatrixXd> solver(equilibrated(without));
-    const Eigen::VectorXd delta =
-        scale.asDiagonal() * solver.solve(scale.asDiagonal() * scores[g]);
+    const Eigen::VectorXd delta = scale.asDiagonal() * solver.solve(scale.asDiagonal() * scores[g]);
     deltas.col(static_cast<Eigen::Index>(g)) = delta.head(layout.rig_size);
   });
   // Whiten, shrink, and back. The sum of squares of the deltas times (G - 1) / G is the jackknife.

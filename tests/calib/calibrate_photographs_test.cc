@@ -26,15 +26,17 @@ struct Photographs {
   std::vector<CalibrationPair> pairs;
 };
 
-// Pairs of a folder whose left and right files sort alike, told apart by what their names contain.
+// Pairs of a folder whose left and right files sort alike, told apart by how their names begin or
+// end.
 Photographs Detect(const std::filesystem::path& folder, const std::string& extension,
                    const std::string& left, const std::string& right, const std::string& word) {
   Photographs out;
   out.board = BoardSpec::Parse(word);
   std::vector<std::filesystem::path> left_files, right_files;
   for (const auto& file : testing::PhotosIn(folder, extension)) {
-    if (file.stem().string().find(left) != std::string::npos) left_files.push_back(file);
-    if (file.stem().string().find(right) != std::string::npos) right_files.push_back(file);
+    const std::string name = file.stem().string();
+    if (name.starts_with(left) || name.ends_with(left)) left_files.push_back(file);
+    if (name.starts_with(right) || name.ends_with(right)) right_files.push_back(file);
   }
   out.pairs.resize(left_files.size());
   out.size = testing::ReadPhoto(left_files.front()).size();

@@ -272,6 +272,21 @@ TEST(Calibrate, AutoPicksTheSimplestModelThatPredictsHeldOutPairs) {
   EXPECT_NE(c.rig.left.model().kind, LensModel::Kind::kOpenCv8);
 }
 
+TEST(Calibrate, SplinedLensesAreAsGoodWhereThePhotographsReach) {
+  const SyntheticBoards boards = MakeSyntheticBoards();
+  CalibrationOptions options = Quick();
+  options.model = LensModel::FromName("SPLINED_STEREOGRAPHIC_order=3_Nx=7_Ny=6_fov_x_deg=44");
+  options.scale_sigma = 0;
+  const Calibration c = CalibrateBoards(boards, options);
+  EXPECT_NEAR(c.joint_rms_px, 0.02, 0.0015);
+  const auto length = [&](const StereoRig& rig) {
+    return Eigen::VectorXd::Constant(1, MeasuredLength(boards.truth, rig));
+  };
+  const double sigma_mm = std::sqrt(CalibrationCovariance(c.rig, length)(0, 0));
+  EXPECT_LT(sigma_mm, 0.02);
+  EXPECT_LT(std::abs(length(c.rig)[0] - 60), 4 * sigma_mm);
+}
+
 TEST(Calibrate, IsTheSameEveryTime) {
   const SyntheticBoards boards = MakeSyntheticBoards();
   const Calibration a = CalibrateBoards(boards), b = CalibrateBoards(boards);
