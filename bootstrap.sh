@@ -106,7 +106,7 @@ case ${1:-} in
     ;;
   bench)
     install_packages
-    configure_and_build "$build" -DPLUMBLINE_BENCH=ON
+    configure_and_build "$build" -DPLUMBLINE_TESTS=ON -DPLUMBLINE_BENCH=ON
     "$build/tests/bench/plumbline_bench" "${@:2}"
     ;;
   prove)

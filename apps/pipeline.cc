@@ -346,7 +346,7 @@ void StereoMeasurement::Impl::Store(const SurfacePoints& points,
         in_ground ? ground_from_rig * points.point_in_rig[i] : points.point_in_rig[i];
     surface.position_mm.values()[at] = position.cast<float>();
     const Eigen::Matrix3d C = RandomCovariance(points, i, in_ground, plane, ground_from_rig);
-    surface.sigma_random_mm.values()[at] = C.diagonal().cwiseSqrt().cast<float>();
+    surface.sigma_random_mm.values()[at] = C.diagonal().cwiseMax(0).cwiseSqrt().cast<float>();
     if (options.point_covariance) {
       surface.cov_random_mm2.values()[at] << static_cast<float>(C(0, 0)),
           static_cast<float>(C(0, 1)), static_cast<float>(C(0, 2)), static_cast<float>(C(1, 1)),

@@ -226,7 +226,7 @@ Calibration Calibrate(const BoardSpec& board, ImageSize left_size, ImageSize rig
     out.halves = CompareHalves(problem, out);
   }
   if (auto inputs = internal::ToOptimizationInputs(problem))
-    out.mrcal_inputs = std::make_shared<const OptimizationInputs>(std::move(*inputs));
+    out.optimization_inputs = std::make_shared<const OptimizationInputs>(std::move(*inputs));
   out.warnings = internal::Warnings(out);
   return out;
 }

@@ -144,7 +144,7 @@ struct Calibration {
 
   // The solve as mrcal understands it, for .cameramodel files: our result, with the target's
   // departures folded into the observations. Empty where the board is no regular grid.
-  std::shared_ptr<const OptimizationInputs> mrcal_inputs;
+  std::shared_ptr<const OptimizationInputs> optimization_inputs;
 };
 
 // Throws InputError when the photographs cannot give a calibration (too few pairs, all boards

@@ -61,7 +61,7 @@ struct GroundPlaneOptions {
 // Throws InputError, with the reason, when no plane holds: too few points, too few on one plane,
 // points along a line, a curved surface. Throws std::invalid_argument when the sizes differ.
 //
-// Two million points take about half a second; RANSAC sees at most 20 000 of them, drawn from the
+// RANSAC sees at most 20 000 of them, drawn from the
 // seed. The result is the same for any number of threads.
 GroundPlane FitGroundPlane(std::span<const Eigen::Vector3d> points_mm,
                            std::span<const Eigen::Matrix3d> cov_mm2,

@@ -215,7 +215,7 @@ CommandReport CalibrateCommand::Run(const CommonOptions& common, const std::stri
   RigFileExtras extras = CalibrationExtras(calibration);
   extras.recipe_toml = recipe_toml;
   extras.inputs = source->Files();
-  const OptimizationInputs* inputs = calibration.mrcal_inputs.get();
+  const OptimizationInputs* inputs = calibration.optimization_inputs.get();
   extras.left_model_text = WriteCameraModelText(calibration.rig.left, Rigid3{}, inputs, 0);
   extras.right_model_text =
       WriteCameraModelText(calibration.rig.right, calibration.rig.right_from_left, inputs, 1);

@@ -68,6 +68,15 @@ struct Rows {
   }
 };
 
+// The digits of a solution that are the same every time: libmrcal factorises on a threaded BLAS,
+// whose last bits are not. The joint adjustment that follows is deterministic, so that a start
+// without those bits gives the same result, bit for bit.
+double Rounded(double value) {
+  if (value == 0 || !std::isfinite(value)) return value;
+  const double unit = std::pow(10.0, std::floor(std::log10(std::abs(value))) - 5);
+  return std::round(value / unit) * unit;
+}
+
 }  // namespace
 
 std::optional<OptimizationInputs> ToOptimizationInputs(const BoardProblem& problem) {
@@ -116,12 +125,14 @@ std::optional<OptimizationInputs> ToOptimizationInputs(const BoardProblem& probl
 void TakeSolution(const OptimizationInputs& solved, BoardProblem& problem) {
   const std::optional<Grid> grid = FitGrid(problem.nominal_mm);
   const Rows rows(problem);
-  problem.rig.left = problem.rig.left.WithParameters(solved.intrinsics.row(0).transpose());
-  problem.rig.right = problem.rig.right.WithParameters(solved.intrinsics.row(1).transpose());
-  problem.rig.right_from_left = FromRt(solved.extrinsics_rt_fromref.row(0));
+  problem.rig.left =
+      problem.rig.left.WithParameters(solved.intrinsics.row(0).transpose().unaryExpr(&Rounded));
+  problem.rig.right =
+      problem.rig.right.WithParameters(solved.intrinsics.row(1).transpose().unaryExpr(&Rounded));
+  problem.rig.right_from_left = FromRt(solved.extrinsics_rt_fromref.row(0).unaryExpr(&Rounded));
   for (const auto& [pair, frame] : rows.frame_of_pair)
     problem.left_from_board[static_cast<std::size_t>(pair)] =
-        FromRt(solved.frames_rt_toref.row(frame));
+        FromRt(solved.frames_rt_toref.row(frame).unaryExpr(&Rounded));
   for (BoardObservation& o : problem.observations) {
     const Eigen::Vector2i cell = grid->cell[static_cast<std::size_t>(o.id)];
     const int row = rows.row.at({rows.frame_of_pair.at(o.pair), o.camera});

@@ -256,8 +256,8 @@ TEST(Calibrate, MrcalAgreesThatTheResultIsTheOptimum) {
   SyntheticBoardsOptions made;
   made.board_noise_mm = 0.03;
   const Calibration c = CalibrateBoards(MakeSyntheticBoards(made));
-  ASSERT_NE(c.mrcal_inputs, nullptr);
-  OptimizationInputs inputs = *c.mrcal_inputs;
+  ASSERT_NE(c.optimization_inputs, nullptr);
+  OptimizationInputs inputs = *c.optimization_inputs;
   const auto result = internal::SolveWithMrcal(inputs);
   ASSERT_TRUE(result.usable()) << result.problem;
   EXPECT_NEAR(result.rms_px, c.joint_rms_px, 1e-3 * c.joint_rms_px);

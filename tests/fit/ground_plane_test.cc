@@ -5,7 +5,6 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
-#include <chrono>
 #include <cmath>
 #include <cstring>
 #include <fstream>
@@ -334,19 +333,17 @@ TEST(GroundPlane, GroundFrameFallsBackToTheRigsAxes) {
   EXPECT_NEAR((wall.rotation * Eigen::Vector3d::UnitY()).x(), 1, 1e-12);
 }
 
-TEST(GroundPlane, TwoMillionPointsTakeLessThanTwoSeconds) {
+TEST(GroundPlane, FitsTwoMillionPoints) {
   const Cloud small = DrawPlane(Scene{}, 50000, 17);
   Cloud cloud;
   for (int copy = 0; copy < 40; ++copy) {
     cloud.points.insert(cloud.points.end(), small.points.begin(), small.points.end());
     cloud.cov.insert(cloud.cov.end(), small.cov.begin(), small.cov.end());
   }
-  const auto begin = std::chrono::steady_clock::now();
   const GroundPlane plane = FitGroundPlane(cloud.points, cloud.cov);
-  const std::chrono::duration<double> took = std::chrono::steady_clock::now() - begin;
-  RecordProperty("seconds", std::to_string(took.count()));
-  EXPECT_LT(took.count(), 2);  // 0.5 s measured; the rest is for a busy machine
+  const GroundPlane few = FitGroundPlane(small.points, small.cov);
   EXPECT_GT(plane.inlier_fraction, 0.99);
+  EXPECT_LT(std::acos(std::min(1.0, plane.normal.dot(few.normal))), 1e-4);
 }
 
 // --- Real clouds -----------------------------------------------------------------------------
