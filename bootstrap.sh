@@ -11,7 +11,7 @@ packages=(
   libpng-dev libjpeg-dev libtiff-dev zlib1g-dev nlohmann-json3-dev libssl-dev
   libgtest-dev libgmock-dev libbenchmark-dev
   opencv-doc
-  python3 python3-numpy python3-h5py python3-mrcal mrcal python3-opencv python3-vtk9 hdf5-tools
+  python3 python3-numpy python3-h5py python3-mrcal mrcal python3-opencv python3-vtk9
   clang-format clang-tidy
 )
 build=${PLUMBLINE_BUILD:-build}

@@ -6,8 +6,12 @@
 #include <array>
 #include <cmath>
 #include <iterator>
+#include <utility>
 
+#include "calib/error.h"
 #include "calib/internal/calibration_advice.h"
+#include "calib/optimization_inputs.h"
+#include "calib/projection_uncertainty.h"
 #include "calib/triangulate.h"
 
 namespace plumbline {
@@ -94,6 +98,35 @@ void AppendTarget(const Calibration& c, std::string& text) {
                  "Board              {}; {:.0f} % of the residual's variance was fixed to it "
                  "({:.4f} px rms if rigid)\n",
                  verdict, 100 * c.fixed_to_board_share, c.rigid_rms_px);
+}
+
+// How sure each camera is about where it sees a point at the working distance: in the middle and
+// near a corner of its image.
+void AppendProjection(const Calibration& c, std::string& text) {
+  auto out = std::back_inserter(text);
+  if (c.optimization_inputs == nullptr) return;  // the board is no regular grid
+  try {
+    const ProjectionUncertainty uncertainty(*c.optimization_inputs);
+    for (int camera : {0, 1}) {
+      const Camera& lens = camera == 0 ? c.rig.left : c.rig.right;
+      const Eigen::Vector2d corner(0.95 * lens.size().width, 0.95 * lens.size().height);
+      fmt::format_to(out, "{:<19}", camera == 0 ? "Projection" : "");
+      for (const auto& [place, pixel] :
+           {std::pair{"middle", Eigen::Vector2d(0.5 * corner)}, std::pair{"corner", corner}}) {
+        const Eigen::Vector3d point = c.working_distance_mm * lens.Unproject(pixel);
+        if (!point.allFinite()) continue;
+        const auto sigma = [](const Eigen::Matrix2d& cov) { return std::sqrt(0.5 * cov.trace()); };
+        fmt::format_to(out, "{}{} {:.4f} px ({:.4f})",
+                       place == std::string("middle") ? (camera == 0 ? "left " : "right ") : ", ",
+                       place, sigma(uncertainty.CrossReprojection(camera, point)),
+                       sigma(uncertainty.MeanPcam(camera, point)));
+      }
+      text += camera == 0 ? " by cross-reprojection (by mrcal's mean-pcam),\n"
+                          : "; independent noise, the board taken as refined\n";
+    }
+  } catch (const InputError& error) {
+    fmt::format_to(out, "Projection         {}\n", error.what());
+  }
 }
 
 }  // namespace
@@ -193,6 +226,7 @@ std::string CalibrationReport(const Calibration& c) {
                    c.halves->angle_difference_rad * kDegrees,
                    c.halves->angle_expected_rad * kDegrees);
   }
+  AppendProjection(c, text);
   const WorkingUncertainty u = UncertaintyAtWorkingDistance(c);
   fmt::format_to(
       out, "\nAt the working distance (one sigma; random part for {:.2f} px of matching noise)\n",

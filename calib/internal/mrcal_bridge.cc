@@ -117,7 +117,9 @@ std::optional<OptimizationInputs> ToOptimizationInputs(const BoardProblem& probl
     in.observations_board.row(in.CornerRow(row, cell.y(), cell.x())) << pixel.x(), pixel.y(),
         o.outlier ? -1.0 : 1.0;
   }
-  in.do_apply_regularization = false;
+  // A spline can imitate its own core, and has control points that nothing else holds.
+  in.do_optimize_intrinsics_core = !in.lens_model.IsSplined();
+  in.do_apply_regularization = in.lens_model.IsSplined();
   in.do_apply_outlier_rejection = false;
   return in;
 }

@@ -128,11 +128,11 @@ TEST(Calibrate, ProveSigmas) {
   for (const double flex_mm : {0.0, 0.02, 0.05}) {
     SyntheticBoardsOptions made;
     made.flex_mm = flex_mm;
-    const Consistency mean = Sample(made, 300);
+    const Consistency mean = Sample(made, 150);
     std::printf("| %.2f | %.3f | %.3f | %.3f |\n", flex_mm, mean.clustered_baseline,
                 mean.clustered_length, mean.independent_baseline);
-    EXPECT_NEAR(mean.clustered_baseline, 1, 0.25);
-    EXPECT_NEAR(mean.clustered_length, 1, 0.25);
+    EXPECT_NEAR(mean.clustered_baseline, 1, 0.35);
+    EXPECT_NEAR(mean.clustered_length, 1, 0.35);
   }
 }
 
@@ -300,9 +300,10 @@ TEST(CalibrationReport, SaysWhatMatters) {
   SyntheticBoards boards = MakeSyntheticBoards();
   std::swap(boards.pairs[5].left, boards.pairs[5].right);
   const std::string report = CalibrationReport(CalibrateBoards(boards, options));
-  for (const char* part : {"23 of 24 pairs", "Baseline", "Even against odd",
-                           "left5 and right5: left and right are swapped", "--known-distance",
-                           "Would improve it most"}) {
+  for (const char* part :
+       {"23 of 24 pairs", "Baseline", "by cross-reprojection (by mrcal's mean-pcam)",
+        "Even against odd", "left5 and right5: left and right are swapped", "--known-distance",
+        "Would improve it most"}) {
     EXPECT_THAT(report, HasSubstr(part));
   }
 }
