@@ -116,7 +116,8 @@ case ${1:-} in
     ;;
   sanitize)
     install_packages
-    configure_and_build "$build-sanitize" -DPLUMBLINE_TESTS=ON -DPLUMBLINE_SANITIZE=address,undefined
+    configure_and_build "$build-sanitize" -DPLUMBLINE_TESTS=ON -DPLUMBLINE_SANITIZE=address,undefined \
+      -DCMAKE_CXX_FLAGS_RELEASE="-O1 -DNDEBUG"
     UBSAN_OPTIONS=print_stacktrace=1 run_tests "$build-sanitize" "${@:2}"
     ;;
   lint)
