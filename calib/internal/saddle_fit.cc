@@ -4,55 +4,11 @@
 #include <cmath>
 #include <vector>
 
+#include "calib/internal/saddle_shape.h"
 #include "calib/internal/two_level_fit.h"
 
 namespace plumbline::internal {
 namespace {
-
-// Order of the parameters: position, directions of the edges, blur.
-enum : int { kAngle = 2, kBlur = 4 };
-
-struct SaddleShape {
-  static constexpr int kParameters = 5;
-  using Parameters = Eigen::Matrix<double, kParameters, 1>;
-
-  Eigen::Vector2d start_angles;
-  double radius_px = 0;
-
-  // Covered: the quadrant between edge 0 and edge 1, and the one opposite.
-  static double Share(const Parameters& q, const Eigen::Vector2d& p, Parameters& slope) {
-    const Eigen::Vector2d offset = p - q.head<2>();
-    double side[2], density[2], d[2];
-    Eigen::Vector2d normal[2];
-    for (int k = 0; k < 2; ++k) {
-      const double angle = q[kAngle + k];
-      // Turned so that the point between the directions is on the positive side of both edges.
-      const double turn = k == 0 ? 1 : -1;
-      normal[k] = turn * Eigen::Vector2d(-std::sin(angle), std::cos(angle));
-      d[k] = normal[k].dot(offset);
-      const BlurredEdge edge(d[k], q[kBlur]);
-      side[k] = 1 - 2 * edge.share;
-      density[k] = 2 * edge.density;
-    }
-    slope.setZero();
-    for (int k = 0; k < 2; ++k) {
-      if (density[k] == 0) continue;
-      const double by_d = 0.5 * side[1 - k] * density[k];
-      const double turn = k == 0 ? 1 : -1, angle = q[kAngle + k];
-      slope.head<2>() -= by_d * normal[k];
-      slope[kAngle + k] =
-          -by_d * turn * Eigen::Vector2d(std::cos(angle), std::sin(angle)).dot(offset);
-      slope[kBlur] -= by_d * d[k] / q[kBlur];
-    }
-    return 0.5 * (1 + side[0] * side[1]);
-  }
-
-  bool Plausible(const Parameters& q) const {
-    return q.head<2>().norm() < 0.5 * radius_px && q[kBlur] > 0.05 && q[kBlur] < radius_px &&
-           std::abs(q[kAngle] - start_angles[0]) < 0.5 &&
-           std::abs(q[kAngle + 1] - start_angles[1]) < 0.5;
-  }
-};
 
 using Solver = TwoLevelFit<SaddleShape>;
 
@@ -108,9 +64,10 @@ std::optional<SaddleFit> FitSaddle(const GrayImage& image, const Eigen::Vector2d
   SaddleFit fit;
   fit.pixel = start + result->geometry.head<2>();
   fit.cov_px2 = result->cov_position;
-  fit.angle_rad = {result->geometry[kAngle], result->geometry[kAngle + 1]};
+  fit.angle_rad = {result->geometry[SaddleShape::kAngle],
+                   result->geometry[SaddleShape::kAngle + 1]};
   fit.dark_between = result->covered[0] < result->bright[0];
-  fit.blur_px = result->geometry[kBlur];
+  fit.blur_px = result->geometry[SaddleShape::kBlur];
   fit.contrast = std::abs(result->covered[0] - result->bright[0]);
   fit.residual = result->residual;
   if (fit.residual > 0.25 * fit.contrast) return std::nullopt;
