@@ -65,6 +65,9 @@ long PeakOfARun(const fs::path& file, int frames) {
 }
 
 TEST(SeriesMemory, PeakDoesNotGrowWithTheNumberOfFrames) {
+#ifdef __SANITIZE_ADDRESS__
+  GTEST_SKIP() << "the address sanitizer keeps freed memory, so that the peak tells nothing";
+#endif
   const fs::path folder = TestFolder();
   const long few = PeakOfARun(folder / "few.h5", 10);
   const long many = PeakOfARun(folder / "many.h5", 100);
