@@ -74,9 +74,10 @@ struct Scene {
     for (auto& m : problem.motions) {
       if (m.fixed) continue;
       m.motion.translation_mm += start_error * Eigen::Vector3d(n(rng), n(rng), n(rng));
-      m.motion = Rigid3::FromRotationVector(
-                     start_error * 0.005 * Eigen::Vector3d(n(rng), n(rng), n(rng)), {}) *
-                 m.motion;
+      m.motion =
+          Rigid3::FromRotationVector(start_error * 0.005 * Eigen::Vector3d(n(rng), n(rng), n(rng)),
+                                     Eigen::Vector3d::Zero()) *
+          m.motion;
     }
     for (auto& p : problem.points) {
       if (!p.fixed) p.point_mm += start_error * Eigen::Vector3d(n(rng), n(rng), n(rng));
