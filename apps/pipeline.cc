@@ -12,6 +12,7 @@
 
 #include "apps/internal/surface_points.h"
 #include "calib/error.h"
+#include "calib/median.h"
 #include "calib/triangulate.h"
 
 namespace plumbline {
@@ -42,10 +43,7 @@ double MedianOf(std::vector<double> values) {
   values.erase(
       std::remove_if(values.begin(), values.end(), [](double v) { return !std::isfinite(v); }),
       values.end());
-  if (values.empty()) return kNanDouble;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
+  return values.empty() ? kNanDouble : Median(std::move(values));
 }
 
 template <typename Body>

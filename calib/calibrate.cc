@@ -13,6 +13,7 @@
 #include "calib/internal/calibration_steps.h"
 #include "calib/internal/clustered_covariance.h"
 #include "calib/internal/mrcal_bridge.h"
+#include "calib/median.h"
 
 namespace plumbline {
 namespace {
@@ -36,10 +37,8 @@ void DescribeTarget(const BoardProblem& problem, Calibration& out) {
     refined.col(n) = problem.target_mm[id];
     nominal.col(n++) = problem.nominal_mm[id];
   }
-  const Eigen::Matrix4d similarity = Eigen::umeyama(refined.leftCols(n), nominal.leftCols(n), true);
   const Eigen::Matrix3Xd departure =
-      (similarity.topLeftCorner<3, 3>() * refined.leftCols(n)).colwise() +
-      similarity.topRightCorner<3, 1>().eval() - nominal.leftCols(n);
+      internal::DepartureFromSimilar(refined.leftCols(n), nominal.leftCols(n));
   out.target_rms_in_plane_mm =
       std::sqrt(departure.topRows<2>().squaredNorm() / static_cast<double>(2 * n));
   out.target_rms_out_of_plane_mm =
@@ -106,9 +105,7 @@ double MedianDistance(const std::vector<PairResult>& pairs) {
   for (const PairResult& p : pairs) {
     if (p.used) distances.push_back(p.left_from_board.translation_mm.norm());
   }
-  const auto middle = distances.begin() + static_cast<std::ptrdiff_t>(distances.size() / 2);
-  std::nth_element(distances.begin(), middle, distances.end());
-  return *middle;
+  return Median(std::move(distances));
 }
 
 // Board points that both cameras saw, evenly thinned: the volume that modes are chosen for.

@@ -14,6 +14,7 @@
 #include <stdexcept>
 
 #include "calib/error.h"
+#include "calib/median.h"
 #include "fit/internal/plane_refinement.h"
 #include "fit/internal/ransac_plane.h"
 
@@ -25,12 +26,6 @@ using internal::LocalPlane;
 constexpr std::size_t kMaxSample = 20000;
 constexpr double kMadToSigma = 1.4826;
 constexpr double kInlierSigmas = 3.5;
-
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
-}
 
 std::vector<std::uint8_t> UsablePoints(std::span<const Eigen::Vector3d> points_mm,
                                        std::span<const Eigen::Matrix3d> cov_mm2) {

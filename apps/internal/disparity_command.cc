@@ -7,6 +7,7 @@
 
 #include "apps/internal/command.h"
 #include "calib/error.h"
+#include "calib/median.h"
 #include "io/disparity_file.h"
 #include "io/disparity_hdf5.h"
 #include "io/image_source.h"
@@ -37,11 +38,9 @@ DisparitySummary Summarise(const DisparityMap& map) {
   summary.pixels = static_cast<std::int64_t>(map.status.pixel_count());
   summary.valid = static_cast<std::int64_t>(sigmas.size());
   if (sigmas.empty()) return summary;
-  const auto middle = sigmas.begin() + static_cast<std::ptrdiff_t>(sigmas.size() / 2);
-  std::nth_element(sigmas.begin(), middle, sigmas.end());
   summary.smallest_px = low;
   summary.largest_px = high;
-  summary.median_sigma_px = *middle;
+  summary.median_sigma_px = Median(std::move(sigmas));
   return summary;
 }
 

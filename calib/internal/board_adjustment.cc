@@ -10,6 +10,7 @@
 
 #include "calib/error.h"
 #include "calib/internal/mrcal.h"
+#include "calib/median.h"
 
 namespace plumbline::internal {
 namespace {
@@ -383,16 +384,21 @@ void PredictDiscOffsets(BoardProblem& problem) {
   }
 }
 
+namespace {
+
+Eigen::Vector2d Residual(const BoardProblem& problem, const BoardObservation& o) {
+  const Eigen::Vector3d in_left = problem.left_from_board[static_cast<std::size_t>(o.pair)] *
+                                  problem.target_mm[static_cast<std::size_t>(o.id)];
+  const Eigen::Vector3d in_camera = o.camera == 0 ? in_left : problem.rig.right_from_left * in_left;
+  return o.pixel - o.disc_offset_px - CameraOf(problem, o.camera).Project(in_camera);
+}
+
+}  // namespace
+
 std::vector<Eigen::Vector2d> Residuals(const BoardProblem& problem) {
   std::vector<Eigen::Vector2d> out;
   out.reserve(problem.observations.size());
-  for (const BoardObservation& o : problem.observations) {
-    const Eigen::Vector3d in_left = problem.left_from_board[static_cast<std::size_t>(o.pair)] *
-                                    problem.target_mm[static_cast<std::size_t>(o.id)];
-    const Eigen::Vector3d in_camera =
-        o.camera == 0 ? in_left : problem.rig.right_from_left * in_left;
-    out.push_back(o.pixel - o.disc_offset_px - CameraOf(problem, o.camera).Project(in_camera));
-  }
+  for (const BoardObservation& o : problem.observations) out.push_back(Residual(problem, o));
   return out;
 }
 
@@ -408,9 +414,8 @@ int MarkOutliers(BoardProblem& problem, double sigmas) {
     if (std::isfinite(n)) sorted.push_back(n);
   }
   if (sorted.empty()) return 0;
-  const auto middle = sorted.begin() + static_cast<std::ptrdiff_t>(sorted.size() / 2);
-  std::nth_element(sorted.begin(), middle, sorted.end());
-  const double limit = sigmas * std::max(*middle / std::sqrt(2 * std::log(2.0)), 1e-12);
+  const double limit =
+      sigmas * std::max(Median(std::move(sorted)) / std::sqrt(2 * std::log(2.0)), 1e-12);
   int changed = 0;
   for (std::size_t i = 0; i < normalised.size(); ++i) {
     const bool outlier = !(normalised[i] <= limit);
@@ -463,13 +468,11 @@ void EstimateFloor(BoardProblem& problem, bool target_free) {
 }
 
 double ResidualRms(const BoardProblem& problem, int camera, int pair) {
-  const std::vector<Eigen::Vector2d> residuals = Residuals(problem);
   double sum = 0;
   double count = 0;
-  for (std::size_t i = 0; i < residuals.size(); ++i) {
-    const BoardObservation& o = problem.observations[i];
+  for (const BoardObservation& o : problem.observations) {
     if (o.outlier || (camera >= 0 && o.camera != camera) || (pair >= 0 && o.pair != pair)) continue;
-    sum += residuals[i].squaredNorm();
+    sum += Residual(problem, o).squaredNorm();
     count += 2;
   }
   return count > 0 ? std::sqrt(sum / count) : 0;

@@ -6,6 +6,7 @@
 #include <numbers>
 
 #include "calib/internal/opencv_image.h"
+#include "calib/median.h"
 
 namespace plumbline::internal {
 namespace {
@@ -43,13 +44,6 @@ std::optional<double> LocalMagnification(const BoardSpec& spec, const BoardDetec
   }
   if (count < 3 || board.determinant() < 1e-6 * board.squaredNorm()) return std::nullopt;
   return std::abs((both * board.inverse()).determinant());
-}
-
-double Median(std::vector<double> values) {
-  if (values.empty()) return 0;
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 }  // namespace
@@ -121,7 +115,7 @@ BoardDetection FitBoardDiscs(const BoardSpec& spec, const GrayImage& image,
       radii.push_back(std::sqrt(areas[k] / *magnification / std::numbers::pi));
     }
   }
-  out.disc_radius_mm = Median(std::move(radii));
+  out.disc_radius_mm = radii.empty() ? 0 : Median(std::move(radii));
   return out;
 }
 

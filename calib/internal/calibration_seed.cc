@@ -10,6 +10,7 @@
 #include <optional>
 
 #include "calib/error.h"
+#include "calib/median.h"
 
 namespace plumbline::internal {
 namespace {
@@ -29,12 +30,6 @@ struct CameraSeed {
 Rigid3 ToRigid3(const cv::Mat& r, const cv::Mat& t) {
   return Rigid3::FromRotationVector({r.at<double>(0), r.at<double>(1), r.at<double>(2)},
                                     {t.at<double>(0), t.at<double>(1), t.at<double>(2)});
-}
-
-double Median(std::vector<double> values) {
-  const auto middle = values.begin() + static_cast<std::ptrdiff_t>(values.size() / 2);
-  std::nth_element(values.begin(), middle, values.end());
-  return *middle;
 }
 
 // Why too few photographs can be used, in the words of the detector where it has a common

@@ -11,6 +11,7 @@
 #include "calib/error.h"
 #include "calib/internal/mrcal_bridge.h"
 #include "calib/internal/mrcal_solver.h"
+#include "calib/median.h"
 
 namespace plumbline::internal {
 namespace {
@@ -42,9 +43,7 @@ double MedianPhotographRms(const BoardProblem& problem) {
       if (const double r = ResidualRms(problem, camera, pair); r > 0) rms.push_back(r);
     }
   }
-  const auto middle = rms.begin() + static_cast<std::ptrdiff_t>(rms.size() / 2);
-  std::nth_element(rms.begin(), middle, rms.end());
-  return *middle;
+  return Median(std::move(rms));
 }
 
 // The RMS of one photograph when its board pose may be what this camera alone wants.
@@ -167,6 +166,11 @@ BoardProblem Half(const BoardProblem& problem, int first, const CalibrationOptio
   return half;
 }
 
+Eigen::Matrix3Xd DepartureFromSimilar(const Eigen::Matrix3Xd& from, const Eigen::Matrix3Xd& to) {
+  const Eigen::Matrix4d fit = Eigen::umeyama(from, to, true);
+  return (fit.topLeftCorner<3, 3>() * from).colwise() + fit.topRightCorner<3, 1>().eval() - to;
+}
+
 double TargetDifference(const BoardProblem& a, const BoardProblem& b) {
   std::vector<bool> seen_a(a.target_mm.size(), false), seen_b(a.target_mm.size(), false);
   for (const BoardObservation& o : a.observations) seen_a[static_cast<std::size_t>(o.id)] = true;
@@ -179,9 +183,7 @@ double TargetDifference(const BoardProblem& a, const BoardProblem& b) {
     to.col(n++) = b.target_mm[id];
   }
   if (n < 4) return 0;
-  const Eigen::Matrix4d fit = Eigen::umeyama(from.leftCols(n), to.leftCols(n), true);
-  const Eigen::Matrix3Xd difference = (fit.topLeftCorner<3, 3>() * from.leftCols(n)).colwise() +
-                                      fit.topRightCorner<3, 1>().eval() - to.leftCols(n);
+  const Eigen::Matrix3Xd difference = DepartureFromSimilar(from.leftCols(n), to.leftCols(n));
   return std::sqrt(difference.squaredNorm() / static_cast<double>(3 * n));
 }
 

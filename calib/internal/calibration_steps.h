@@ -23,6 +23,10 @@ void DropBadPairs(CalibrationSeed& seed, const CalibrationOptions& options);
 // The same problem solved from every second pair in use, beginning with the `first`-th (0 or 1).
 BoardProblem Half(const BoardProblem& problem, int first, const CalibrationOptions& options);
 
+// What is left between two sets of points (columns, mm) once the similarity transform that fits
+// `from` best to `to` is applied.
+Eigen::Matrix3Xd DepartureFromSimilar(const Eigen::Matrix3Xd& from, const Eigen::Matrix3Xd& to);
+
 // RMS per component between the targets of two solutions, a similarity transform taken out, mm.
 double TargetDifference(const BoardProblem& a, const BoardProblem& b);
 
