@@ -102,7 +102,9 @@ struct HalvesComparison {
 
 struct ModelScore {
   LensModel model;
-  double held_out_rms_px = 0;    // per component, over pairs that the fit did not see
+  // Per component, over pairs that the fit did not see; infinite where the photographs do not
+  // determine the model.
+  double held_out_rms_px = 0;
   double held_out_sigma_px = 0;  // standard error of the difference to the best
 };
 

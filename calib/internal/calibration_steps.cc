@@ -5,10 +5,12 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <map>
 #include <set>
 
 #include "calib/error.h"
+#include "calib/internal/clustered_covariance.h"
 #include "calib/internal/mrcal_bridge.h"
 #include "calib/internal/mrcal_solver.h"
 #include "calib/median.h"
@@ -19,6 +21,7 @@ namespace {
 constexpr int kMaxRounds = 6;
 constexpr double kBadPairFactor = 4;  // times the median RMS of all photographs
 constexpr int kFolds = 4;
+constexpr double kWorthwhileGain = 0.02;  // of the held-out rms: less is not worth more parameters
 constexpr double kGrossSigmas =
     8;  // of the robust scatter: misread points, before the fine limit applies
 
@@ -197,10 +200,19 @@ std::vector<ModelScore> ScoreModels(const BoardSpec& board, ImageSize left_size,
     LensModel model;
     model.kind = kind;
     CalibrationSeed seed = SeedCalibration(board, model, left_size, right_size, pairs);
-    SolveRobustly(seed.problem);
-    Refine(seed.problem, options, true);
-    DropBadPairs(seed, options);
-    if (!options.rigid_target) Refine(seed.problem, options, false);
+    try {
+      SolveRobustly(seed.problem);
+      Refine(seed.problem, options, true);
+      DropBadPairs(seed, options);
+      if (!options.rigid_target) Refine(seed.problem, options, false);
+      // Throws where the photographs leave a parameter open: such a model is no candidate.
+      (void)ClusteredCovariance(seed.problem, !options.rigid_target, options.target_sigma_mm);
+    } catch (const InputError&) {
+      if (scores.empty()) throw;  // the simplest model: nothing left to fall back on
+      scores.push_back({model, std::numeric_limits<double>::infinity(), 0});
+      mean_square.emplace_back();
+      continue;
+    }
     const std::vector<int> in_use = PairsInUse(seed.problem);
     std::vector<double> squares;
     for (int fold = 0; fold < kFolds; ++fold) {
@@ -232,6 +244,7 @@ std::vector<ModelScore> ScoreModels(const BoardSpec& board, ImageSize left_size,
   }
   for (std::size_t m = 0; m < scores.size(); ++m) {
     const std::size_t n = std::min(mean_square[m].size(), mean_square[best].size());
+    if (n == 0) continue;
     double mean = 0, variance = 0;
     for (std::size_t i = 0; i < n; ++i)
       mean += (mean_square[m][i] - mean_square[best][i]) / static_cast<double>(n);
@@ -249,7 +262,8 @@ LensModel SimplestOfTheBest(const std::vector<ModelScore>& scores) {
       scores.begin(), scores.end(),
       [](const auto& a, const auto& b) { return a.held_out_rms_px < b.held_out_rms_px; });
   for (const ModelScore& s : scores) {  // ordered by number of parameters
-    if (s.held_out_rms_px <= best->held_out_rms_px + s.held_out_sigma_px) return s.model;
+    const double margin_px = std::max(s.held_out_sigma_px, kWorthwhileGain * best->held_out_rms_px);
+    if (s.held_out_rms_px <= best->held_out_rms_px + margin_px) return s.model;
   }
   return best->model;
 }
