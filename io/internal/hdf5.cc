@@ -35,6 +35,22 @@ Id CreateAttribute(hid_t object, const std::string& name, hid_t type, hid_t spac
                   "creating an attribute"));
 }
 
+// How a group is stored: listings follow the order of writing, and its links lie in its header,
+// which has a checksum as soon as it keeps the order of attributes. Elsewhere nothing tells
+// HDF5 1.10 of damaged links, and it may free what it never made (H5G__link_release_table).
+void DescribeGroup(hid_t create) {
+  const unsigned in_order = H5P_CRT_ORDER_TRACKED | H5P_CRT_ORDER_INDEXED;
+  Check(H5Pset_link_creation_order(create, in_order), "creating a group");
+  Check(H5Pset_attr_creation_order(create, in_order), "creating a group");
+  Check(H5Pset_link_phase_change(create, 64, 32), "creating a group");
+}
+
+// Makes the groups that lead to `name`. The library's own way would not describe them.
+void CreateGroupOf(hid_t parent, const std::string& name) {
+  const std::size_t end = name.rfind('/');
+  if (end != std::string::npos && end > 0) CreateGroup(parent, name.substr(0, end));
+}
+
 }  // namespace
 
 void Initialise() {
@@ -74,8 +90,7 @@ hsize_t ElementCount(const Shape& shape) {
 Id CreateFile(const fs::path& file) {
   Initialise();
   const Id create(Check(H5Pcreate(H5P_FILE_CREATE), "creating a file"));
-  // Listings follow the order of writing.
-  H5Pset_link_creation_order(create.get(), H5P_CRT_ORDER_TRACKED | H5P_CRT_ORDER_INDEXED);
+  DescribeGroup(create.get());
   const Id access(Check(H5Pcreate(H5P_FILE_ACCESS), "creating a file"));
   Check(H5Pset_libver_bounds(access.get(), H5F_LIBVER_EARLIEST, H5F_LIBVER_V18), "format version");
   return Id(Check(H5Fcreate(file.c_str(), H5F_ACC_TRUNC, create.get(), access.get()),
@@ -91,10 +106,11 @@ Id OpenFile(const fs::path& file, bool writable) {
 }
 
 Id CreateGroup(hid_t parent, const std::string& name) {
-  const Id link(Check(H5Pcreate(H5P_LINK_CREATE), "creating a group"));
-  H5Pset_create_intermediate_group(link.get(), 1);
   if (Exists(parent, name)) return OpenGroup(parent, name);
-  return Id(Check(H5Gcreate2(parent, name.c_str(), link.get(), H5P_DEFAULT, H5P_DEFAULT),
+  CreateGroupOf(parent, name);
+  const Id create(Check(H5Pcreate(H5P_GROUP_CREATE), "creating a group"));
+  DescribeGroup(create.get());
+  return Id(Check(H5Gcreate2(parent, name.c_str(), H5P_DEFAULT, create.get(), H5P_DEFAULT),
                   "creating a group"));
 }
 
@@ -241,13 +257,12 @@ Id CreateDataset(hid_t parent, const DatasetSpec& spec, hid_t type, const void* 
   }
   if (fill != nullptr) Check(H5Pset_fill_value(create.get(), type, fill), "fill value");
   H5Pset_attr_creation_order(create.get(), H5P_CRT_ORDER_TRACKED | H5P_CRT_ORDER_INDEXED);
-  const Id link(Check(H5Pcreate(H5P_LINK_CREATE), "creating a dataset"));
-  H5Pset_create_intermediate_group(link.get(), 1);
+  CreateGroupOf(parent, spec.name);
   const Id space(spec.shape.empty() ? Check(H5Screate(H5S_SCALAR), "dataset size")
                                     : Check(H5Screate_simple(static_cast<int>(spec.shape.size()),
                                                              spec.shape.data(), largest.data()),
                                             "dataset size"));
-  Id dataset(Check(H5Dcreate2(parent, spec.name.c_str(), type, space.get(), link.get(),
+  Id dataset(Check(H5Dcreate2(parent, spec.name.c_str(), type, space.get(), H5P_DEFAULT,
                               create.get(), H5P_DEFAULT),
                    ("creating " + spec.name).c_str()));
   SetText(dataset.get(), "units", spec.units);
