@@ -90,11 +90,15 @@ std::string FileSummary::Text() const {
       "calibration modes: {}\n",
       format, lens_model, baseline_mm, calibration_modes);
   if (format != "plumbline-series") return text;
-  return text + fmt::format(
-                    "created: {} by {}\nframes: {}, {} with a surface, {} with a ground "
-                    "plane\ngrid: {} rows, {} columns\npoints: {}\n",
-                    created, software, frames, frames_with_surface, frames_with_ground, grid_rows,
-                    grid_columns, points);
+  text += fmt::format(
+      "created: {} by {}\nframes: {}, {} with a surface, {} with a ground "
+      "plane\ngrid: {} rows, {} columns\npoints: {}\n",
+      created, software, frames, frames_with_surface, frames_with_ground, grid_rows, grid_columns,
+      points);
+  std::vector<std::string> also = Names(contents);
+  if (!channels.empty()) also.push_back(fmt::format("channels ({})", fmt::join(channels, ", ")));
+  if (!also.empty()) text += fmt::format("also holds: {}\n", fmt::join(also, ", "));
+  return text;
 }
 
 FileSummary Inspect(const fs::path& file) {
@@ -112,6 +116,8 @@ FileSummary Inspect(const fs::path& file) {
   summary.frames = reader.frame_count();
   summary.grid_rows = reader.grid_px().height();
   summary.grid_columns = reader.grid_px().width();
+  summary.contents = reader.contents();
+  for (const Channel& channel : reader.channels()) summary.channels.push_back(channel.name);
   for (std::int64_t i = 0; i < summary.frames; ++i) {
     const SeriesFrame frame = reader.Frame(i);
     summary.frames_with_surface += frame.surface.status.empty() ? 0 : 1;

@@ -5,6 +5,8 @@
 #include <string>
 #include <vector>
 
+#include "io/series_frame.h"
+
 namespace plumbline {
 
 // What is in a series or a rig file, for `plumbline info`.
@@ -21,6 +23,8 @@ struct FileSummary {
   int grid_rows = 0;
   int grid_columns = 0;
   std::int64_t points = 0;  // with status ok, over all frames
+  SeriesContents contents;
+  std::vector<std::string> channels;  // their names
 
   std::string Text() const;  // one fact a line
 };
@@ -31,8 +35,8 @@ FileSummary Inspect(const std::filesystem::path& file);
 // What is wrong with a file by docs/file_format.md, one sentence each; empty: it is whole. Looks
 // for groups, datasets and attributes that are missing, shapes that disagree, datasets without
 // units, long_name or axes, the folder of an unfinished run; of a series it reads every frame: each
-// value must be a number exactly where its status is ok. A file that cannot be opened is one
-// finding. Memory: that of one frame.
+// value must be a number where its status is ok (a displacement, strain or velocity may be NaN),
+// and NaN elsewhere. A file that cannot be opened is one finding. Memory: that of one frame.
 std::vector<std::string> Validate(const std::filesystem::path& file);
 
 }  // namespace plumbline

@@ -2,7 +2,27 @@
 
 #include <cmath>
 
+#include "io/internal/series_layout.h"
+
 namespace plumbline {
+
+std::vector<std::string> Names(const SeriesContents& contents) {
+  std::vector<std::string> names;
+  for (const internal::OptionalContent& content : internal::kOptionalContents) {
+    if (contents.*content.flag) names.emplace_back(content.name);
+  }
+  return names;
+}
+
+PrincipalStrain PrincipalOf(const Eigen::Vector3f& green_lagrange) {
+  const float mean = 0.5f * (green_lagrange[0] + green_lagrange[1]);
+  const float half_difference = 0.5f * (green_lagrange[0] - green_lagrange[1]);
+  const float shear = green_lagrange[2];
+  const float radius = std::hypot(half_difference, shear);  // of Mohr's circle
+  const float angle = radius > 0 ? 0.5f * std::atan2(shear, half_difference)
+                                 : std::numeric_limits<float>::quiet_NaN();
+  return {{mean + radius, mean - radius}, angle};
+}
 
 GroundAngles AnglesOf(const GroundRecord& ground) {
   const Eigen::Vector3d& n = ground.normal_in_rig;

@@ -4,12 +4,28 @@
 #include <cstdint>
 #include <limits>
 #include <string>
+#include <vector>
 
 #include "calib/image.h"
 #include "calib/rigid3.h"
 #include "calib/status.h"
 
 namespace plumbline {
+
+// Which optional groups a series holds; fixed for the whole run.
+struct SeriesContents {
+  bool covariance = false;  // /surface/covariance
+  bool displacement = false;
+  bool strain = false;
+  bool wheel = false;
+  bool patch = false;
+  bool slip = false;
+
+  friend bool operator==(const SeriesContents&, const SeriesContents&) = default;
+};
+
+// The names of those that it holds, in the order above.
+std::vector<std::string> Names(const SeriesContents& contents);
 
 // The frame that a surface's positions are given in.
 enum class SurfaceFrame : std::uint8_t { kRig = 0, kGround };
@@ -25,7 +41,7 @@ struct Surface {
   Image<float> epipolar_px;
   Image<Status> status;
   SurfaceFrame frame = SurfaceFrame::kRig;
-  // Optional (SeriesHeader::has_covariance): random covariance, mm^2, order xx xy xz yy yz zz.
+  // Optional (SeriesContents::covariance): random covariance, mm^2, order xx xy xz yy yz zz.
   Image<Eigen::Matrix<float, 6, 1>> cov_random_mm2;
 };
 
@@ -62,6 +78,98 @@ struct GroundAngles {
 };
 GroundAngles AnglesOf(const GroundRecord& ground);
 
+// How far the points of the surface have moved, as /displacement holds it, in Surface::frame. Like
+// all fields of points: of the size of the grid, or empty where the frame has none; NaN where the
+// surface's status is not kOk, and where there is a surface and yet no value.
+struct DisplacementField {
+  Image<Eigen::Vector3f> value_mm;
+  Image<Eigen::Vector3f> sigma_random_mm;
+  Image<Eigen::Vector3f> sigma_calibration_mm;
+};
+
+// The Green-Lagrange strain as /strain holds it: xx, yy, xy in the local axes of the surface, xy
+// the tensor's shear component (half of the engineering shear). Without unit.
+struct StrainField {
+  Image<Eigen::Vector3f> green_lagrange;
+  Image<Eigen::Vector3f> sigma_random;
+  Image<Eigen::Vector3f> sigma_calibration;
+};
+
+// The principal strains of (xx, yy, xy), the larger one first, and the angle of the first one's
+// direction from the local x axis towards y, in (-pi/2, pi/2]: NaN where both are equal, since
+// every direction is then a principal one.
+struct PrincipalStrain {
+  Eigen::Vector2f strain;
+  float angle_rad;
+};
+PrincipalStrain PrincipalOf(const Eigen::Vector3f& green_lagrange);
+
+// The wheel of one frame, as /wheel holds it, in the ground frame. Where it was found, axis and
+// centre are numbers; what else was not measured is NaN.
+struct WheelRecord {
+  bool found = false;
+  std::string problem;                                             // why not
+  Eigen::Vector3d axis = Eigen::Vector3d::Constant(kNotMeasured);  // unit vector
+  Eigen::Vector3d centre_mm = Eigen::Vector3d::Constant(kNotMeasured);
+  double radius_mm = kNotMeasured;
+  double angle_rad = kNotMeasured;    // turned about the axis since the first frame
+  double speed_rad_s = kNotMeasured;  // about the axis
+  Eigen::Matrix3d cov_axis_random = Eigen::Matrix3d::Constant(kNotMeasured);
+  Eigen::Matrix3d cov_axis_calibration = Eigen::Matrix3d::Constant(kNotMeasured);
+  Eigen::Vector3d sigma_random_centre_mm = Eigen::Vector3d::Constant(kNotMeasured);
+  Eigen::Vector3d sigma_calibration_centre_mm = Eigen::Vector3d::Constant(kNotMeasured);
+  double sigma_random_radius_mm = kNotMeasured;
+  double sigma_calibration_radius_mm = kNotMeasured;
+  double sigma_random_angle_rad = kNotMeasured;
+  double sigma_calibration_angle_rad = kNotMeasured;
+  double sigma_random_speed_rad_s = kNotMeasured;
+  double sigma_calibration_speed_rad_s = kNotMeasured;
+
+  static constexpr double kNotMeasured = GroundRecord::kNotMeasured;
+};
+
+// The contact patch of one frame, as /patch holds it: length along x of the ground frame (the
+// direction of travel), width along y. Where it was found, the area is a number.
+struct PatchRecord {
+  bool found = false;
+  std::string problem;  // why not
+  double area_mm2 = kNotMeasured;
+  double length_mm = kNotMeasured;
+  double width_mm = kNotMeasured;
+  Eigen::Vector2d centroid_mm = Eigen::Vector2d::Constant(kNotMeasured);  // ground x, y
+  double sigma_random_area_mm2 = kNotMeasured;
+  double sigma_calibration_area_mm2 = kNotMeasured;
+  double sigma_random_length_mm = kNotMeasured;
+  double sigma_calibration_length_mm = kNotMeasured;
+  double sigma_random_width_mm = kNotMeasured;
+  double sigma_calibration_width_mm = kNotMeasured;
+  Eigen::Vector2d sigma_random_centroid_mm = Eigen::Vector2d::Constant(kNotMeasured);
+  Eigen::Vector2d sigma_calibration_centroid_mm = Eigen::Vector2d::Constant(kNotMeasured);
+  double threshold_mm = kNotMeasured;           // that decides what is in contact
+  double d_area_d_threshold_mm = kNotMeasured;  // mm^2 of area a mm of threshold
+  std::vector<Eigen::Vector2d> contour_mm;      // ground x, y; closed, first point not repeated
+
+  static constexpr double kNotMeasured = GroundRecord::kNotMeasured;
+};
+
+// How the surface slips over the ground, as /slip holds it. Where it was found, the ratio is a
+// number. The velocities of the points (in Surface::frame) are there with or without it.
+struct SlipRecord {
+  bool found = false;
+  std::string problem;  // why not
+  double ratio = kNotMeasured;
+  double angle_rad = kNotMeasured;
+  double sigma_random_ratio = kNotMeasured;
+  double sigma_calibration_ratio = kNotMeasured;
+  double sigma_random_angle_rad = kNotMeasured;
+  double sigma_calibration_angle_rad = kNotMeasured;
+  Image<Eigen::Vector3f> velocity_mm_s;
+  Image<Eigen::Vector3f> sigma_random_mm_s;
+  Image<Eigen::Vector3f> sigma_calibration_mm_s;
+
+  static constexpr double kNotMeasured = GroundRecord::kNotMeasured;
+};
+
 struct SeriesFrame {
   std::int64_t index = 0;
   double time_s = 0;
@@ -70,6 +178,12 @@ struct SeriesFrame {
   int dropped_before = 0;
   Surface surface;  // empty images where there is a problem
   GroundRecord ground;
+  // Written where the series' contents name them.
+  DisplacementField displacement;
+  StrainField strain;
+  WheelRecord wheel;
+  PatchRecord patch;
+  SlipRecord slip;
 };
 
 }  // namespace plumbline

@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <memory>
 #include <string>
+#include <vector>
 
 #include "io/series_writer.h"
 
@@ -32,10 +33,24 @@ class SeriesReader {
   Image<Eigen::Vector2f> grid_px() const;
   int step_px() const;
   int subset_px() const;
+  const SeriesContents& contents() const;
+  // Attributes as in SeriesHeader; those of groups that the series does not hold are the defaults
+  // there.
+  const std::string& grid_points() const;
+  const std::string& displacement_reference() const;
+  const std::string& strain_measure() const;
+  const std::string& strain_axes() const;
+  int vsg_px() const;
+  double vsg_mm() const;
+  const std::string& slip_convention() const;
+  // By name. Throws InputError.
+  std::vector<Channel> channels() const;
   std::int64_t frame_count() const;
 
-  // Frame i of the file, 0 <= i < frame_count(). Its surface is empty where it has a problem.
-  // Memory: that of one frame. Throws InputError, std::out_of_range.
+  // Frame i of the file, 0 <= i < frame_count(). Its surface is empty where it has a problem, and
+  // with it the other fields of points; else those that the series holds are of the grid's size,
+  // all NaN where the frame had none. Memory: that of one frame. Throws InputError,
+  // std::out_of_range.
   SeriesFrame Frame(std::int64_t i) const;
 
  private:

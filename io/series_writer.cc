@@ -3,13 +3,13 @@
 #include <fmt/format.h>
 
 #include <atomic>
-#include <cerrno>
 #include <future>
 
 #include "calib/error.h"
 #include "io/internal/durable_file.h"
 #include "io/internal/hdf5.h"
 #include "io/internal/journal.h"
+#include "io/internal/series_header.h"
 #include "io/internal/series_layout.h"
 #include "io/internal/series_pack.h"
 
@@ -61,7 +61,8 @@ struct SeriesWriter::Impl {
 SeriesWriter::SeriesWriter(const fs::path& file, const SeriesHeader& header)
     : impl_(std::make_unique<Impl>()) {
   impl_->file = file;
-  impl_->shape = internal::SeriesShape::For(header.grid_px.size(), header.has_covariance);
+  internal::CheckSeriesHeader(header);
+  impl_->shape = internal::SeriesShape::For(header.grid_px.size(), header.contents);
   MakePartsFolder(file);
   try {
     internal::WriteDurably(internal::HeaderFile(file), [&](const fs::path& temporary) {

@@ -14,6 +14,14 @@
 
 namespace plumbline {
 
+// A signal that was recorded beside the cameras, as /channels/<name> holds it, on its own time
+// axis. value may hold NaN (a dropout).
+struct Channel {
+  std::string name, units, long_name;
+  std::vector<double> time_s;  // on the clock of SeriesFrame::time_s; never going back
+  std::vector<double> value;
+};
+
 struct SeriesHeader {
   StereoRig rig;
   Image<Eigen::Vector2f> grid_px;  // (row, col): where the points sit in the left image
@@ -22,7 +30,22 @@ struct SeriesHeader {
   std::string recipe_toml;  // full, defaults filled in
   std::vector<std::filesystem::path> inputs;
   RigFileExtras rig_extras;  // what else /rig is to hold
-  bool has_covariance = false;
+  SeriesContents contents = {};
+  // What the points are, attribute `points` of /grid: "image" (the grid is fixed in the left image
+  // in every frame) or "material" (the material points that were at the grid's pixels in the first
+  // frame).
+  std::string grid_points = "image";
+  // What displacements count from, attribute `reference` of /displacement: "frame N" (SeriesFrame::
+  // index), "previous" or "wheel".
+  std::string displacement_reference = "frame 0";
+  // Attributes of /strain: the measure, the axes of its components, and the size of the virtual
+  // strain gauge, in the left image and on the surface.
+  std::string strain_measure = "green_lagrange";
+  std::string strain_axes = "material";
+  int vsg_px = 0;
+  double vsg_mm = 0;
+  std::string slip_convention = "ISO 8855";  // attribute of /slip
+  std::vector<Channel> channels = {};
 };
 
 // Writes one run.
@@ -33,14 +56,18 @@ struct SeriesHeader {
 // meets a full disk, loses no committed frame: RecoverSeries() packs what is there. Memory is that
 // of one frame, whatever the length of the run.
 //
-// Positions, sigmas and covariances of points whose status is not kOk are written as NaN; a point
-// that claims kOk without a finite position is written as failed_verification.
+// Numbers of points whose status is not kOk are written as NaN, and so is all that is infinite; a
+// point that claims kOk without a finite position is written as failed_verification. A
+// displacement, strain or velocity that is not finite is written as NaN with its sigmas. What the
+// contents do not name is not written.
 //
 // Not thread-safe (one writer, one thread); packs a frame with all of TBB's threads.
 class SeriesWriter {
  public:
   // Throws EnvironmentError naming the folder or file (not writable, disk full), InputError when
-  // an unfinished run of the same name is there, std::invalid_argument when the grid is empty.
+  // an unfinished run of the same name is there or a channel cannot be stored (its name, its size,
+  // times that go back), std::invalid_argument when the grid is empty or an attribute is none of
+  // those named in SeriesHeader.
   SeriesWriter(const std::filesystem::path& file, const SeriesHeader& header);
 
   // Without Close(): keeps the parts for RecoverSeries() if a frame was committed.
@@ -49,7 +76,7 @@ class SeriesWriter {
   SeriesWriter& operator=(const SeriesWriter&) = delete;
 
   // Throws EnvironmentError (disk full; earlier frames stay), std::invalid_argument when the
-  // surface is not of the grid's size.
+  // surface, or another field of points that is not empty, is not of the grid's size.
   void Commit(const SeriesFrame& frame);
 
   std::int64_t committed() const;

@@ -54,6 +54,13 @@ class InfoCommand : public Command {
     report.json["grid"] = {grid.height, grid.width};
     report.json["step_px"] = series.step_px();
     report.json["subset_px"] = series.subset_px();
+    const std::vector<std::string> also = Names(series.contents());
+    report.json["contents"] = also;
+    report.json["channels"] = nlohmann::json::array();
+    for (const Channel& channel : series.channels()) {
+      report.json["channels"].push_back(channel.name);
+    }
+    if (!also.empty()) report.text += fmt::format("  with {}\n", fmt::join(also, ", "));
     report.json["frames"] = nlohmann::json::array();
     constexpr std::int64_t kMostLines = 20;
     for (std::int64_t i = 0; i < series.frame_count(); ++i) {

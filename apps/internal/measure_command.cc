@@ -262,7 +262,7 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
                       .recipe_toml = recipe_toml,
                       .inputs = source->Files(),
                       .rig_extras = {},
-                      .has_covariance = options.point_covariance};
+                      .contents = {.covariance = options.point_covariance}};
   for (const std::string& file : rig.files) header.inputs.emplace_back(file);
   if (!mask_.empty()) header.inputs.emplace_back(mask_);
 

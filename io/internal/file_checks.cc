@@ -8,7 +8,9 @@
 #include <map>
 #include <set>
 
-#include "io/internal/series_layout.h"
+#include "io/internal/series_header.h"
+#include "io/internal/series_records.h"
+#include "io/internal/series_tables.h"
 
 namespace plumbline::internal {
 namespace {
@@ -40,7 +42,7 @@ std::vector<Wanted> WantedInRig() {
   return wanted;
 }
 
-std::vector<Wanted> WantedInSeries(bool has_covariance) {
+std::vector<Wanted> WantedInSeries(const SeriesContents& contents) {
   std::vector<Wanted> wanted = {
       {"/frames/index", {"frames"}}, {"/grid/pixel", {"rows", "columns", "2"}},
       {"/grid/row", {"rows"}},       {"/grid/col", {"columns"}},
@@ -49,24 +51,29 @@ std::vector<Wanted> WantedInSeries(bool has_covariance) {
        {"time_s", "left_id", "right_id", "problem", "dropped_before", "status", "surface_frame"}) {
     wanted.push_back({std::string("/frames/") + name, {"frames"}});
   }
-  for (const PointField& field : kPointFields) {
-    if (field.name == "covariance" && !has_covariance) continue;
-    Wanted dataset{"/surface/" + std::string(field.name), {"frames", "rows", "columns"}};
-    if (field.components > 1) dataset.dimensions.push_back(std::to_string(field.components));
+  for (const PointField& field : PointFields()) {
+    if (!Holds(contents, field.needs)) continue;
+    Wanted dataset{field.Path(), {"frames", "rows", "columns"}};
+    if (field.axis->count > 1) dataset.dimensions.push_back(std::to_string(field.axis->count));
     wanted.push_back(dataset);
   }
-  for (const char* name : {"offset", "offset_errors_random", "offset_errors_calibration", "rms",
-                           "inlier_fraction", "status", "problem"}) {
-    wanted.push_back({std::string("/ground/") + name, {"frames"}});
+  for (const RecordGroup& group : RecordGroups()) {
+    if (!Holds(contents, group.needs)) continue;
+    for (const char* name : {"/status", "/problem"}) {
+      wanted.push_back({group.path + name, {"frames"}});
+    }
+    for (const RecordField& field : group.fields) {
+      Wanted dataset{group.path + "/" + field.name, {"frames"}};
+      for (const Eigen::Index n : field.shape) dataset.dimensions.push_back(std::to_string(n));
+      wanted.push_back(dataset);
+    }
   }
-  for (const char* name : {"normal", "e1", "e2", "centroid", "angles_rad",
-                           "angles_rad_errors_random", "angles_rad_errors_calibration"}) {
-    wanted.push_back({std::string("/ground/") + name, {"frames", "3"}});
+  if (contents.patch) {
+    wanted.push_back({"/patch/contour_first", {"frames"}});
+    wanted.push_back({"/patch/contour_count", {"frames"}});
+    wanted.push_back({"/patch/contour_frame", {"contour points"}});
+    wanted.push_back({"/patch/contour", {"contour points", "2"}});
   }
-  for (const char* name : {"covariance_random", "covariance_calibration"}) {
-    wanted.push_back({std::string("/ground/") + name, {"frames", "3", "3"}});
-  }
-  wanted.push_back({"/ground/ground_from_rig", {"frames", "4", "4"}});
   return wanted;
 }
 
@@ -88,6 +95,17 @@ class LayoutCheck {
     for (const char* name : names) {
       if (hdf5::HasAttribute(object.get(), name)) continue;
       Add("{} has no attribute {}", path == "/" ? "the file" : path, name);
+    }
+  }
+
+  // A text that has to be one of those that `known` knows.
+  void AttributeText(const std::string& path, const char* name, bool (*known)(const std::string&)) {
+    Attributes(path, {name});
+    if (!hdf5::Exists(file_, path)) return;
+    const Id group = hdf5::OpenGroup(file_, path);
+    const std::string text = hdf5::GetText(group.get(), name);
+    if (hdf5::HasAttribute(group.get(), name) && !known(text)) {
+      Add("the attribute {} of {} is \"{}\", which means nothing", name, path, text);
     }
   }
 
@@ -225,6 +243,45 @@ void CheckDatasetsBelow(hid_t group, const std::string& path, std::set<haddr_t>*
   }
 }
 
+std::vector<std::string> ChannelPaths(hid_t file) {
+  std::vector<std::string> paths;
+  if (!hdf5::Exists(file, "/channels")) return paths;
+  try {
+    for (const std::string& name : hdf5::LinkNames(hdf5::OpenGroup(file, "/channels").get())) {
+      paths.push_back("/channels/" + name);
+    }
+  } catch (const hdf5::Error&) {
+    // CheckSeriesGroups() says that it is no group.
+  }
+  return paths;
+}
+
+// The groups of the series with their attributes.
+void CheckSeriesGroups(hid_t file, LayoutCheck* check) {
+  std::vector<std::string> groups = {"/frames", "/grid", "/surface", "/ground"};
+  for (const std::string& path : groups) check->Group(path);
+  for (const char* path : {"/displacement", "/strain", "/wheel", "/patch", "/slip"}) {
+    if (hdf5::Exists(file, path)) groups.emplace_back(path);
+  }
+  if (hdf5::Exists(file, "/channels")) {
+    check->Try([&] { hdf5::OpenGroup(file, "/channels"); });
+  }
+  for (const std::string& path : ChannelPaths(file)) groups.push_back(path);
+  for (const std::string& path : groups) {
+    check->Try([&] { check->NexusData(path); });
+  }
+  for (const PointGroupFacts& group : kPointGroups) {
+    if (!group.in_surface_frame) continue;
+    const std::string path(group.path);
+    check->Try([&] { check->Attributes(path, {"frame"}); });
+    check->Try([&] { check->Attributes(path + "/" + std::string(group.signal), {"frame"}); });
+  }
+  check->Try([&] { check->Attributes("/strain", {"measure", "strain_axes", "vsg_px", "vsg_mm"}); });
+  check->Try([&] { check->Attributes("/slip", {"convention"}); });
+  check->Try([&] { check->AttributeText("/grid", "points", IsGridPoints); });
+  check->Try([&] { check->AttributeText("/displacement", "reference", IsDisplacementReference); });
+}
+
 }  // namespace
 
 Findings CheckLayout(hid_t file, bool is_series) {
@@ -239,14 +296,11 @@ Findings CheckLayout(hid_t file, bool is_series) {
   check.Try([&] { check.Attributes("/rig/modes", {"has_scale_mode"}); });
   std::vector<Wanted> wanted = WantedInRig();
   if (is_series) {
-    for (const char* path : {"/frames", "/grid", "/surface", "/ground"}) {
-      check.Group(path);
-      check.Try([&] { check.NexusData(path); });
-    }
-    check.Try([&] { check.Attributes("/surface", {"frame"}); });
-    check.Try([&] { check.Attributes("/surface/position", {"frame"}); });
-    for (Wanted& dataset : WantedInSeries(hdf5::Exists(file, "/surface/covariance"))) {
-      wanted.push_back(std::move(dataset));
+    CheckSeriesGroups(file, &check);
+    for (Wanted& dataset : WantedInSeries(ContentsOf(file))) wanted.push_back(std::move(dataset));
+    for (const std::string& channel : ChannelPaths(file)) {
+      wanted.push_back({channel + "/time_s", {"samples of " + channel}});
+      wanted.push_back({channel + "/value", {"samples of " + channel}});
     }
   }
   for (const Wanted& dataset : wanted) {

@@ -330,31 +330,54 @@ Shape ChunkOf(const Id& dataset) {
 
 namespace {
 
-template <typename T>
-std::vector<T> ReadSlabAs(const Id& dataset, hid_t type, hsize_t index, hsize_t max_elements) {
+// A selection of rows in the file, and as many in memory.
+struct Rows {
+  Id file, memory;
+  hsize_t elements;
+};
+
+Rows SelectRows(const Id& dataset, hsize_t first, hsize_t rows) {
   Shape count = ShapeOf(dataset);
-  if (count.empty() || index >= count[0]) throw Error("there is no such frame");
-  count[0] = 1;
-  if (ElementCount(count) > max_elements) throw Error("a frame is too large");
+  if (count.empty() || first > count[0] || rows > count[0] - first) {
+    throw Error("there are no such rows");
+  }
+  count[0] = rows;
   Shape start(count.size(), 0);
-  start[0] = index;
-  const Id space(Check(H5Dget_space(dataset.get()), "dataset size"));
-  Check(H5Sselect_hyperslab(space.get(), H5S_SELECT_SET, start.data(), nullptr, count.data(),
-                            nullptr),
-        "selecting a frame");
-  const Id memory(Check(H5Screate_simple(static_cast<int>(count.size()), count.data(), nullptr),
-                        "selecting a frame"));
-  std::vector<T> values(ElementCount(count));
-  Check(H5Dread(dataset.get(), type, memory.get(), space.get(), H5P_DEFAULT, values.data()),
-        "reading a frame");
+  start[0] = first;
+  Rows selected{Id(Check(H5Dget_space(dataset.get()), "dataset size")),
+                Id(Check(H5Screate_simple(static_cast<int>(count.size()), count.data(), nullptr),
+                         "selecting rows")),
+                ElementCount(count)};
+  Check(H5Sselect_hyperslab(selected.file.get(), H5S_SELECT_SET, start.data(), nullptr,
+                            count.data(), nullptr),
+        "selecting rows");
+  return selected;
+}
+
+template <typename T>
+std::vector<T> ReadRowsAs(const Id& dataset, hid_t type, hsize_t first, hsize_t count,
+                          hsize_t max_elements) {
+  const Rows rows = SelectRows(dataset, first, count);
+  if (rows.elements > max_elements) throw Error("a frame is too large");
+  std::vector<T> values(rows.elements);
+  if (values.empty()) return values;
+  Check(
+      H5Dread(dataset.get(), type, rows.memory.get(), rows.file.get(), H5P_DEFAULT, values.data()),
+      "reading a frame");
   return values;
 }
 
 }  // namespace
 
 template <typename T>
+std::vector<T> ReadRows(const Id& dataset, hsize_t first, hsize_t count, hsize_t max_elements) {
+  return ReadRowsAs<T>(dataset, NativeType<T>(), first, count, max_elements);
+}
+template std::vector<double> ReadRows<double>(const Id&, hsize_t, hsize_t, hsize_t);
+
+template <typename T>
 std::vector<T> ReadSlab(const Id& dataset, hsize_t index, hsize_t max_elements) {
-  return ReadSlabAs<T>(dataset, NativeType<T>(), index, max_elements);
+  return ReadRowsAs<T>(dataset, NativeType<T>(), index, 1, max_elements);
 }
 template std::vector<float> ReadSlab<float>(const Id&, hsize_t, hsize_t);
 template std::vector<double> ReadSlab<double>(const Id&, hsize_t, hsize_t);
@@ -362,8 +385,26 @@ template std::vector<double> ReadSlab<double>(const Id&, hsize_t, hsize_t);
 std::vector<std::uint8_t> ReadSlabBytes(const Id& dataset, hsize_t index, hsize_t max_elements) {
   const Id type(Check(H5Dget_type(dataset.get()), "dataset type"));
   if (H5Tget_size(type.get()) != 1) throw Error("a dataset that should hold bytes does not");
-  return ReadSlabAs<std::uint8_t>(dataset, type.get(), index, max_elements);
+  return ReadRowsAs<std::uint8_t>(dataset, type.get(), index, 1, max_elements);
 }
+
+template <typename T>
+void AppendRows(const Id& dataset, std::span<const T> values) {
+  if (values.empty()) return;
+  Shape extent = ShapeOf(dataset);
+  const hsize_t before = extent.at(0);
+  extent[0] = 1;
+  const hsize_t rows = values.size() / ElementCount(extent);
+  if (rows * ElementCount(extent) != values.size()) throw Error("adding a part of a row");
+  extent[0] = before + rows;
+  Check(H5Dset_extent(dataset.get(), extent.data()), "adding rows");
+  const Rows selected = SelectRows(dataset, before, rows);
+  Check(H5Dwrite(dataset.get(), NativeType<T>(), selected.memory.get(), selected.file.get(),
+                 H5P_DEFAULT, values.data()),
+        "adding rows");
+}
+template void AppendRows<double>(const Id&, std::span<const double>);
+template void AppendRows<std::int64_t>(const Id&, std::span<const std::int64_t>);
 
 std::vector<std::string> ReadTexts(hid_t parent, const std::string& name, hsize_t max_elements) {
   const Id dataset = OpenDataset(parent, name);

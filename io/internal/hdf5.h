@@ -131,7 +131,16 @@ std::vector<T> ReadArray(hid_t parent, const std::string& name, Shape* shape = n
 template <typename T>
 std::vector<T> ReadSlab(const Id& dataset, hsize_t index, hsize_t max_elements = kMaxElements);
 
-// The same of a dataset of one-byte values, enums too. Throws Error if they are not.
+// Entries first to first + count - 1 along the first dimension, converted to T.
+template <typename T>
+std::vector<T> ReadRows(const Id& dataset, hsize_t first, hsize_t count,
+                        hsize_t max_elements = kMaxElements);
+
+// Lets a chunked dataset grow along its first dimension by whole rows. Throws Error.
+template <typename T>
+void AppendRows(const Id& dataset, std::span<const T> values);
+
+// The same as ReadSlab() of a dataset of one-byte values, enums too. Throws Error if they are not.
 std::vector<std::uint8_t> ReadSlabBytes(const Id& dataset, hsize_t index,
                                         hsize_t max_elements = kMaxElements);
 

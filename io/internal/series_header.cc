@@ -1,9 +1,17 @@
-#include <array>
-#include <numeric>
+#include "io/internal/series_header.h"
 
+#include <fmt/format.h>
+
+#include <array>
+#include <cmath>
+#include <numeric>
+#include <set>
+#include <stdexcept>
+
+#include "calib/error.h"
 #include "io/internal/hdf5.h"
 #include "io/internal/rig_group.h"
-#include "io/internal/series_pack.h"
+#include "io/internal/series_tables.h"
 
 namespace plumbline::internal {
 namespace {
@@ -24,11 +32,10 @@ void WriteGrid(hid_t file, const SeriesHeader& header) {
   hdf5::SetText(group.get(), "NX_class", "NXdata");
   hdf5::SetText(group.get(), "signal", "pixel");
   hdf5::SetTexts(group.get(), "axes", {"row", "col", "component"});
+  hdf5::SetText(group.get(), "points", header.grid_points);
   WriteIndexAxis(file, "/grid/row", "row", header.grid_px.height(), "row of the grid");
   WriteIndexAxis(file, "/grid/col", "col", header.grid_px.width(), "column of the grid");
-  hdf5::MakeScale(
-      hdf5::WriteTexts(file, {"/grid/component", "1", "pixel coordinate", {2}, {}}, {"x", "y"}),
-      "component");
+  WriteNameAxis(file, "/grid/component", "component", "pixel coordinate", {"x", "y"});
   const auto rows = static_cast<hsize_t>(header.grid_px.height());
   const auto columns = static_cast<hsize_t>(header.grid_px.width());
   const std::span<const float> pixels(header.grid_px.data()->data(), rows * columns * 2);
@@ -50,7 +57,108 @@ void WriteGrid(hid_t file, const SeriesHeader& header) {
   scalar("/grid/subset_px", "width of the matcher's window; 0 if it has none", header.subset_px);
 }
 
+// What is the same for all frames of a group; packing fills the groups.
+void WriteGroupAttributes(hid_t file, const SeriesHeader& header) {
+  if (header.contents.displacement) {
+    const Id group = hdf5::CreateGroup(file, "/displacement");
+    hdf5::SetText(group.get(), "reference", header.displacement_reference);
+  }
+  if (header.contents.strain) {
+    const Id group = hdf5::CreateGroup(file, "/strain");
+    hdf5::SetText(group.get(), "measure", header.strain_measure);
+    hdf5::SetText(group.get(), "strain_axes", header.strain_axes);
+    hdf5::SetInteger(group.get(), "vsg_px", header.vsg_px);
+    hdf5::SetNumber(group.get(), "vsg_mm", header.vsg_mm);
+  }
+  if (header.contents.slip) {
+    const Id group = hdf5::CreateGroup(file, "/slip");
+    hdf5::SetText(group.get(), "convention", header.slip_convention);
+  }
+}
+
+void WriteChannel(hid_t file, const Channel& channel) {
+  const std::string path = "/channels/" + channel.name;
+  const Id group = hdf5::CreateGroup(file, path);
+  hdf5::SetText(group.get(), "NX_class", "NXdata");
+  hdf5::SetText(group.get(), "signal", "value");
+  hdf5::SetTexts(group.get(), "axes", {"time_s"});
+  const hsize_t n = channel.value.size();
+  hdf5::MakeScale(
+      hdf5::WriteArray<double>(
+          file, {path + "/time_s", "s", "time, on the clock of /frames/time_s", {n}, {}},
+          channel.time_s),
+      "time_s");
+  hdf5::AttachScales(
+      file,
+      hdf5::WriteArray<double>(file,
+                               {path + "/value",
+                                channel.units.empty() ? "1" : channel.units,
+                                channel.long_name.empty() ? channel.name : channel.long_name,
+                                {n},
+                                {}},
+                               channel.value),
+      {path + "/time_s"});
+}
+
+void WriteChannels(hid_t file, const std::vector<Channel>& channels) {
+  if (channels.empty()) return;
+  const Id group = hdf5::CreateGroup(file, "/channels");
+  hdf5::SetText(group.get(), "NX_class", "NXcollection");
+  for (const Channel& channel : channels) WriteChannel(file, channel);
+}
+
+// Why the channel cannot be stored; empty: it can.
+std::string ProblemOf(const Channel& channel) {
+  const std::string& name = channel.name;
+  if (name.empty() || name == "." || name == ".." || name.find('/') != std::string::npos ||
+      name.find('\0') != std::string::npos) {
+    return "its name cannot be that of a group: rename it without a slash";
+  }
+  if (channel.time_s.size() != channel.value.size()) {
+    return fmt::format("it has {} times and {} values", channel.time_s.size(),
+                       channel.value.size());
+  }
+  const std::size_t wrong = FirstWrongTime(channel.time_s);
+  if (wrong == channel.time_s.size()) return "";
+  return fmt::format("its time {} ({} s) is no number or goes back", wrong, channel.time_s[wrong]);
+}
+
 }  // namespace
+
+std::size_t FirstWrongTime(const std::vector<double>& time_s) {
+  for (std::size_t i = 0; i < time_s.size(); ++i) {
+    if (!std::isfinite(time_s[i]) || (i > 0 && time_s[i] < time_s[i - 1])) return i;
+  }
+  return time_s.size();
+}
+
+bool IsGridPoints(const std::string& text) { return text == "image" || text == "material"; }
+
+bool IsDisplacementReference(const std::string& text) {
+  const std::string frame = "frame ";
+  if (text == "previous" || text == "wheel") return true;
+  return text.rfind(frame, 0) == 0 && text.size() > frame.size() &&
+         text.find_first_not_of("0123456789", frame.size()) == std::string::npos;
+}
+
+void CheckSeriesHeader(const SeriesHeader& header) {
+  if (!IsGridPoints(header.grid_points)) {
+    throw std::invalid_argument("SeriesHeader::grid_points is neither image nor material: " +
+                                header.grid_points);
+  }
+  if (!IsDisplacementReference(header.displacement_reference)) {
+    throw std::invalid_argument(
+        "SeriesHeader::displacement_reference is none of frame N, previous, wheel: " +
+        header.displacement_reference);
+  }
+  std::set<std::string> names;
+  for (const Channel& channel : header.channels) {
+    std::string problem = ProblemOf(channel);
+    if (!names.insert(channel.name).second) problem = "another one has that name";
+    if (problem.empty()) continue;
+    throw InputError(fmt::format("the channel '{}' cannot be stored: {}", channel.name, problem));
+  }
+}
 
 void WriteSeriesHeader(const std::filesystem::path& path, const SeriesHeader& header) {
   Id file = hdf5::CreateFile(path);
@@ -58,6 +166,8 @@ void WriteSeriesHeader(const std::filesystem::path& path, const SeriesHeader& he
   hdf5::SetText(file.get(), "default", "surface");
   WriteRigGroup(file.get(), header.rig, header.rig_extras);
   WriteGrid(file.get(), header);
+  WriteGroupAttributes(file.get(), header);
+  WriteChannels(file.get(), header.channels);
   file.Close("closing the file");
 }
 

@@ -9,27 +9,99 @@
 #include <new>
 #include <stdexcept>
 
+#include "io/internal/series_records.h"
+
 namespace plumbline::internal {
 namespace {
 
 constexpr float kNaN = std::numeric_limits<float>::quiet_NaN();
 constexpr std::size_t kLargestChunk = std::size_t{1} << 20;
 
-void CheckSize(ImageSize found, const SeriesShape& shape, const char* what) {
-  if (found != ImageSize{shape.columns, shape.rows}) {
-    throw std::invalid_argument(std::string("SeriesWriter: ") + what +
-                                " is not of the size of the grid");
+using F = PointField;
+using Part = PointPart;
+
+constexpr std::string_view kCommonSigma =
+    "standard deviation from the calibration, common to all points";
+
+constexpr ContentFlag kAlways = nullptr, kMoved = &SeriesContents::displacement,
+                      kStrained = &SeriesContents::strain, kSlipped = &SeriesContents::slip;
+
+constexpr std::array kPointFields = {
+    F{kSurface, Part::kValue, "position", &kXyz, "mm", "position of the surface point", kAlways},
+    F{kSurface, Part::kRandom, "position_errors_random", &kXyz, "mm", kRandomSigma, kAlways},
+    F{kSurface, Part::kCalibration, "position_errors_calibration", &kXyz, "mm", kCommonSigma,
+      kAlways},
+    F{kSurface, Part::kCombined, "position_errors", &kXyz, "mm", kCombinedSigma, kAlways},
+    F{kSurface, Part::kCorrelation, "correlation", &kOneNumber, "1", "score of the match", kAlways},
+    F{kSurface, Part::kEpipolar, "epipolar_px", &kOneNumber, "pixel",
+      "signed distance of the match from the epipolar line", kAlways},
+    F{kSurface, Part::kStatus, "status", &kOneNumber, "1", "why there is no value here, or ok",
+      kAlways},
+    F{kSurface, Part::kCovariance, "covariance", &kSpaceTensor, "mm2",
+      "random covariance of the position: xx, xy, xz, yy, yz, zz", &SeriesContents::covariance},
+    F{kDisplacement, Part::kValue, "value", &kXyz, "mm",
+      "displacement of the surface point from the reference", kMoved},
+    F{kDisplacement, Part::kRandom, "value_errors_random", &kXyz, "mm", kRandomSigma, kMoved},
+    F{kDisplacement, Part::kCalibration, "value_errors_calibration", &kXyz, "mm", kCommonSigma,
+      kMoved},
+    F{kDisplacement, Part::kCombined, "value_errors", &kXyz, "mm", kCombinedSigma, kMoved},
+    F{kStrain, Part::kValue, "green_lagrange", &kPlaneTensor, "1",
+      "Green-Lagrange strain in the local axes of the surface: xx, yy, xy (tensor shear)",
+      kStrained},
+    F{kStrain, Part::kRandom, "green_lagrange_errors_random", &kPlaneTensor, "1", kRandomSigma,
+      kStrained},
+    F{kStrain, Part::kCalibration, "green_lagrange_errors_calibration", &kPlaneTensor, "1",
+      kCommonSigma, kStrained},
+    F{kStrain, Part::kCombined, "green_lagrange_errors", &kPlaneTensor, "1", kCombinedSigma,
+      kStrained},
+    F{kStrain, Part::kPrincipal, "principal", &kPrincipals, "1",
+      "principal strains, the larger one first", kStrained},
+    F{kStrain, Part::kPrincipalAngle, "angle", &kOneNumber, "rad",
+      "angle of the first principal direction from the local x axis towards y", kStrained},
+    F{kSlip, Part::kValue, "velocity", &kXyz, "mm/s",
+      "velocity of the surface point over the ground", kSlipped},
+    F{kSlip, Part::kRandom, "velocity_errors_random", &kXyz, "mm/s", kRandomSigma, kSlipped},
+    F{kSlip, Part::kCalibration, "velocity_errors_calibration", &kXyz, "mm/s", kCommonSigma,
+      kSlipped},
+    F{kSlip, Part::kCombined, "velocity_errors", &kXyz, "mm/s", kCombinedSigma, kSlipped},
+};
+
+// The size of the image that the field's values come from.
+ImageSize SizeIn(const SeriesFrame& frame, const PointField& field) {
+  const auto [value, random, calibration] = VectorImages(frame, field.group);
+  switch (field.part) {
+    case Part::kRandom:
+      return random->size();
+    case Part::kCalibration:
+      return calibration->size();
+    case Part::kCovariance:
+      return frame.surface.cov_random_mm2.size();
+    case Part::kCorrelation:
+      return frame.surface.correlation.size();
+    case Part::kEpipolar:
+      return frame.surface.epipolar_px.size();
+    case Part::kStatus:
+      return frame.surface.status.size();
+    default:
+      return value->size();
   }
 }
 
-void CheckSurface(const Surface& surface, const SeriesShape& shape) {
-  CheckSize(surface.position_mm.size(), shape, "position_mm");
-  CheckSize(surface.sigma_random_mm.size(), shape, "sigma_random_mm");
-  CheckSize(surface.sigma_calibration_mm.size(), shape, "sigma_calibration_mm");
-  CheckSize(surface.correlation.size(), shape, "correlation");
-  CheckSize(surface.epipolar_px.size(), shape, "epipolar_px");
-  CheckSize(surface.status.size(), shape, "status");
-  if (shape.has_covariance != 0) CheckSize(surface.cov_random_mm2.size(), shape, "cov_random_mm2");
+// Places in PointFields() of what a frame with a surface holds. Throws std::invalid_argument where
+// that is not of the grid's size.
+std::vector<std::size_t> FieldsOf(const SeriesFrame& frame, const SeriesShape& shape) {
+  const SeriesContents contents = shape.contents();
+  std::vector<std::size_t> fields;
+  for (std::size_t i = 0; i < kPointFields.size(); ++i) {
+    const PointField& field = kPointFields[i];
+    if (!Holds(contents, field.needs) || VectorImages(frame, field.group)[0]->empty()) continue;
+    if (SizeIn(frame, field) != ImageSize{shape.columns, shape.rows}) {
+      throw std::invalid_argument("SeriesWriter: what " + field.Path() +
+                                  " is to hold is not of the size of the grid");
+    }
+    fields.push_back(i);
+  }
+  return fields;
 }
 
 Status StatusOf(const Surface& surface, std::size_t i) {
@@ -39,30 +111,39 @@ Status StatusOf(const Surface& surface, std::size_t i) {
 }
 
 // The values of one field at point i.
-void Gather(const Surface& surface, int field, std::size_t i, float* to) {
-  const bool ok = StatusOf(surface, i) == Status::kOk;
+void Gather(const SeriesFrame& frame, const PointField& field, std::size_t i, float* to) {
+  const auto images = VectorImages(frame, field.group);
+  const Eigen::Vector3f& value = images[0]->data()[i];
+  const bool there = StatusOf(frame.surface, i) == Status::kOk && value.allFinite();
   const auto copy = [&](const auto& vector) {
-    for (int k = 0; k < static_cast<int>(vector.size()); ++k) to[k] = ok ? vector[k] : kNaN;
+    for (int k = 0; k < static_cast<int>(vector.size()); ++k) {
+      to[k] = there && std::isfinite(vector[k]) ? vector[k] : kNaN;
+    }
   };
-  switch (field) {
-    case kPosition:
-      return copy(surface.position_mm.data()[i]);
-    case kErrorsRandom:
-      return copy(surface.sigma_random_mm.data()[i]);
-    case kErrorsCalibration:
-      return copy(surface.sigma_calibration_mm.data()[i]);
-    case kErrors: {
-      const Eigen::Vector3f& a = surface.sigma_random_mm.data()[i];
-      const Eigen::Vector3f& b = surface.sigma_calibration_mm.data()[i];
+  switch (field.part) {
+    case Part::kValue:
+      return copy(value);
+    case Part::kRandom:
+      return copy(images[1]->data()[i]);
+    case Part::kCalibration:
+      return copy(images[2]->data()[i]);
+    case Part::kCombined: {
+      const Eigen::Vector3f& a = images[1]->data()[i];
+      const Eigen::Vector3f& b = images[2]->data()[i];
       return copy(Eigen::Vector3f((a.cwiseAbs2() + b.cwiseAbs2()).cwiseSqrt()));
     }
-    case kCovariance:
-      return copy(surface.cov_random_mm2.data()[i]);
-    case kCorrelation:
-      *to = surface.correlation.data()[i];
-      return;
-    default:
-      *to = surface.epipolar_px.data()[i];
+    case Part::kPrincipal:
+      return copy(PrincipalOf(value).strain);
+    case Part::kPrincipalAngle:
+      return copy(Eigen::Matrix<float, 1, 1>(PrincipalOf(value).angle_rad));
+    case Part::kCovariance:
+      return copy(frame.surface.cov_random_mm2.data()[i]);
+    default: {  // of the match, which may tell something where it failed
+      const bool is_correlation = field.part == Part::kCorrelation;
+      const Image<float>& image =
+          is_correlation ? frame.surface.correlation : frame.surface.epipolar_px;
+      *to = std::isfinite(image.data()[i]) ? image.data()[i] : kNaN;
+    }
   }
 }
 
@@ -87,83 +168,104 @@ std::vector<std::uint8_t> Deflated(std::span<const std::uint8_t> bytes) {
 }
 
 // A band beyond the last row is filled up with fill values, as HDF5 stores edge chunks.
-std::vector<std::uint8_t> EncodeChunk(const Surface& surface, const SeriesShape& shape, int field,
-                                      int band) {
+std::vector<std::uint8_t> EncodeChunk(const SeriesFrame& frame, const SeriesShape& shape,
+                                      const PointField& field, int band) {
   const auto columns = static_cast<std::size_t>(shape.columns);
   const auto first = static_cast<std::size_t>(band * shape.band_rows) * columns;
   const auto last = std::min(static_cast<std::size_t>(shape.rows) * columns,
                              first + static_cast<std::size_t>(shape.band_rows) * columns);
-  const PointField& facts = kPointFields[static_cast<std::size_t>(field)];
-  if (facts.is_status) {
+  if (field.is_status()) {
     std::vector<std::uint8_t> values(shape.ChunkBytes(field),
                                      static_cast<std::uint8_t>(Status::kMasked));
     for (std::size_t i = first; i < last; ++i) {
-      values[i - first] = static_cast<std::uint8_t>(StatusOf(surface, i));
+      values[i - first] = static_cast<std::uint8_t>(StatusOf(frame.surface, i));
     }
     return Deflated(values);
   }
-  const auto components = static_cast<std::size_t>(facts.components);
+  const auto components = static_cast<std::size_t>(field.axis->count);
   std::vector<float> values(shape.ChunkBytes(field) / sizeof(float), kNaN);
   for (std::size_t i = first; i < last; ++i) {
-    Gather(surface, field, i, values.data() + (i - first) * components);
+    Gather(frame, field, i, values.data() + (i - first) * components);
   }
   return Deflated(Shuffled(values));
 }
 
-void PutGround(ByteWriter& out, const GroundRecord& g) {
-  out.Put(static_cast<std::uint8_t>(g.found));
-  out.Put(g.problem);
-  const auto put = [&](const auto& matrix) {
-    for (Eigen::Index i = 0; i < matrix.size(); ++i) out.Put(matrix.data()[i]);
-  };
-  put(g.normal_in_rig);
-  out.Put(g.offset_mm);
-  put(g.cov_random);
-  put(g.cov_calibration);
-  put(g.ground_from_rig.rotation);
-  put(g.ground_from_rig.translation_mm);
-  out.Put(g.rms_mm);
-  out.Put(g.inlier_fraction);
-  put(g.e1_in_rig);
-  put(g.e2_in_rig);
-  put(g.centroid_in_rig_mm);
+void PutRecord(ByteWriter& out, const RecordGroup& group, const SeriesFrame& frame) {
+  out.Put(static_cast<std::uint8_t>(group.found(frame)));
+  out.Put(group.problem(frame));
+  for (const RecordField& field : group.fields) {
+    if (!field.set) continue;
+    const Eigen::MatrixXd value = field.get(frame);
+    for (Eigen::Index i = 0; i < value.size(); ++i) out.Put(value.data()[i]);
+  }
 }
 
-GroundRecord GetGround(ByteReader& in) {
-  GroundRecord g;
-  g.found = in.Get<std::uint8_t>() != 0;
-  g.problem = in.GetText();
-  const auto get = [&](auto& matrix) {
-    for (Eigen::Index i = 0; i < matrix.size(); ++i) matrix.data()[i] = in.Get<double>();
-  };
-  get(g.normal_in_rig);
-  g.offset_mm = in.Get<double>();
-  get(g.cov_random);
-  get(g.cov_calibration);
-  get(g.ground_from_rig.rotation);
-  get(g.ground_from_rig.translation_mm);
-  g.rms_mm = in.Get<double>();
-  g.inlier_fraction = in.Get<double>();
-  get(g.e1_in_rig);
-  get(g.e2_in_rig);
-  get(g.centroid_in_rig_mm);
-  return g;
+void GetRecord(ByteReader& in, const RecordGroup& group, SeriesFrame* frame) {
+  const bool found = in.Get<std::uint8_t>() != 0;
+  group.set_found(found, in.GetText(), frame);
+  for (const RecordField& field : group.fields) {
+    if (!field.set) continue;
+    Eigen::MatrixXd value(field.rows(), field.columns());
+    for (Eigen::Index i = 0; i < value.size(); ++i) value.data()[i] = in.Get<double>();
+    field.set(value, frame);
+  }
+}
+
+void PutContour(ByteWriter& out, const std::vector<Eigen::Vector2d>& contour_mm) {
+  out.Put(static_cast<std::uint64_t>(contour_mm.size()));
+  for (const Eigen::Vector2d& point : contour_mm) {
+    out.Put(point.x());
+    out.Put(point.y());
+  }
+}
+
+std::vector<Eigen::Vector2d> GetContour(ByteReader& in) {
+  std::vector<Eigen::Vector2d> contour_mm;
+  for (auto count = in.Get<std::uint64_t>(); count > 0; --count) {
+    const auto x = in.Get<double>();
+    contour_mm.emplace_back(x, in.Get<double>());
+  }
+  return contour_mm;
 }
 
 }  // namespace
 
-std::size_t SeriesShape::ChunkBytes(int field) const {
-  const PointField& facts = kPointFields[static_cast<std::size_t>(field)];
-  return static_cast<std::size_t>(band_rows) * static_cast<std::size_t>(columns) *
-         static_cast<std::size_t>(facts.components) * (facts.is_status ? 1 : sizeof(float));
+std::string PointField::Path() const {
+  return std::string(kPointGroups[group].path) + "/" + std::string(name);
 }
 
-SeriesShape SeriesShape::For(ImageSize grid, bool has_covariance) {
+std::span<const PointField> PointFields() { return kPointFields; }
+
+const PointField& FieldOf(PointGroup group, PointPart part) {
+  const auto found = std::find_if(kPointFields.begin(), kPointFields.end(), [&](const auto& field) {
+    return field.group == group && field.part == part;
+  });
+  if (found == kPointFields.end()) throw std::logic_error("there is no such point field");
+  return *found;
+}
+
+SeriesContents SeriesShape::contents() const {
+  SeriesContents contents;
+  for (std::size_t bit = 0; bit < kOptionalContents.size(); ++bit) {
+    contents.*kOptionalContents[bit].flag = (content_bits >> bit & 1u) != 0;
+  }
+  return contents;
+}
+
+std::size_t SeriesShape::ChunkBytes(const PointField& field) const {
+  return static_cast<std::size_t>(band_rows) * static_cast<std::size_t>(columns) *
+         static_cast<std::size_t>(field.axis->count) * (field.is_status() ? 1 : sizeof(float));
+}
+
+SeriesShape SeriesShape::For(ImageSize grid, const SeriesContents& contents) {
   if (grid.width <= 0 || grid.height <= 0) {
     throw std::invalid_argument("SeriesWriter: the grid is empty");
   }
-  SeriesShape shape{grid.height, grid.width, 1, has_covariance ? 1 : 0};
-  const std::size_t row_bytes = shape.ChunkBytes(kPosition);
+  SeriesShape shape{grid.height, grid.width, 1, 0};
+  for (std::size_t bit = 0; bit < kOptionalContents.size(); ++bit) {
+    if (contents.*kOptionalContents[bit].flag) shape.content_bits |= 1u << bit;
+  }
+  const std::size_t row_bytes = shape.ChunkBytes(FieldOf(kSurface, Part::kValue));
   shape.band_rows = static_cast<std::int32_t>(
       std::clamp<std::size_t>(kLargestChunk / row_bytes, 1, static_cast<std::size_t>(grid.height)));
   return shape;
@@ -171,7 +273,8 @@ SeriesShape SeriesShape::For(ImageSize grid, bool has_covariance) {
 
 std::vector<std::uint8_t> EncodeFrame(const SeriesFrame& frame, const SeriesShape& shape) {
   const bool has_surface = frame.problem.empty() && !frame.surface.position_mm.empty();
-  if (has_surface) CheckSurface(frame.surface, shape);
+  const auto fields = has_surface ? FieldsOf(frame, shape) : std::vector<std::size_t>{};
+  const SeriesContents contents = shape.contents();
   ByteWriter out;
   out.Put(frame.index);
   out.Put(frame.time_s);
@@ -180,25 +283,31 @@ std::vector<std::uint8_t> EncodeFrame(const SeriesFrame& frame, const SeriesShap
   out.Put(frame.problem);
   out.Put(static_cast<std::int32_t>(frame.dropped_before));
   out.Put(frame.surface.frame);
-  PutGround(out, frame.ground);
+  for (const RecordGroup& group : RecordGroups()) {
+    if (Holds(contents, group.needs)) PutRecord(out, group, frame);
+  }
+  if (contents.patch) PutContour(out, frame.patch.contour_mm);
   out.Put(static_cast<std::uint8_t>(has_surface));
-  if (!has_surface) return std::move(out.bytes());
 
-  const int bands = shape.bands();
-  std::vector<std::vector<std::uint8_t>> chunks(static_cast<std::size_t>(bands * shape.fields()));
+  const auto bands = static_cast<std::size_t>(shape.bands());
+  std::vector<std::vector<std::uint8_t>> chunks(bands * fields.size());
   tbb::parallel_for(std::size_t{0}, chunks.size(), [&](std::size_t i) {
     chunks[i] =
-        EncodeChunk(frame.surface, shape, static_cast<int>(i) / bands, static_cast<int>(i) % bands);
+        EncodeChunk(frame, shape, kPointFields[fields[i / bands]], static_cast<int>(i % bands));
   });
-  for (const std::vector<std::uint8_t>& chunk : chunks) {
-    out.Put(static_cast<std::uint64_t>(chunk.size()));
-    out.PutBytes(chunk);
+  out.Put(static_cast<std::uint64_t>(chunks.size()));
+  for (std::size_t i = 0; i < chunks.size(); ++i) {
+    out.Put(static_cast<std::uint32_t>(fields[i / bands]));
+    out.Put(static_cast<std::int32_t>(i % bands));
+    out.Put(static_cast<std::uint64_t>(chunks[i].size()));
+    out.PutBytes(chunks[i]);
   }
   return std::move(out.bytes());
 }
 
 FrameRecord DecodeFrame(std::span<const std::uint8_t> bytes, const SeriesShape& shape) {
   ByteReader in(bytes);
+  const SeriesContents contents = shape.contents();
   FrameRecord record;
   SeriesFrame& frame = record.frame;
   frame.index = in.Get<std::int64_t>();
@@ -208,12 +317,21 @@ FrameRecord DecodeFrame(std::span<const std::uint8_t> bytes, const SeriesShape& 
   frame.problem = in.GetText();
   frame.dropped_before = in.Get<std::int32_t>();
   frame.surface.frame = in.Get<SurfaceFrame>();
-  frame.ground = GetGround(in);
+  for (const RecordGroup& group : RecordGroups()) {
+    if (Holds(contents, group.needs)) GetRecord(in, group, &frame);
+  }
+  if (contents.patch) frame.patch.contour_mm = GetContour(in);
   record.has_surface = in.Get<std::uint8_t>() != 0;
-  if (!record.has_surface) return record;
-  const int bands = shape.bands();
-  for (int i = 0; i < bands * shape.fields(); ++i) {
-    record.chunks.push_back({i / bands, i % bands, in.GetBytes(in.Get<std::uint64_t>())});
+  for (auto count = in.Get<std::uint64_t>(); count > 0; --count) {
+    FrameRecord::Chunk chunk;
+    chunk.field = in.Get<std::uint32_t>();
+    chunk.band = in.Get<std::int32_t>();
+    chunk.bytes = in.GetBytes(in.Get<std::uint64_t>());
+    if (chunk.field >= kPointFields.size() || !Holds(contents, kPointFields[chunk.field].needs) ||
+        chunk.band < 0 || chunk.band >= shape.bands()) {
+      throw std::runtime_error("a record holds points of another series");
+    }
+    record.chunks.push_back(chunk);
   }
   return record;
 }

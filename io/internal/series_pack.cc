@@ -3,11 +3,13 @@
 #include <fmt/format.h>
 
 #include <limits>
+#include <optional>
 
 #include "calib/error.h"
 #include "io/internal/durable_file.h"
 #include "io/internal/hdf5.h"
 #include "io/internal/journal.h"
+#include "io/internal/patch_contours.h"
 #include "io/internal/series_layout.h"
 #include "io/internal/series_tables.h"
 
@@ -31,73 +33,71 @@ JournalStart DecodeStart(std::span<const std::uint8_t> bytes) {
   return start;
 }
 
-// /surface, growing by one frame at a time.
-class SurfaceGroup {
+// The groups of fields of points, growing by one frame at a time.
+class PointGroups {
  public:
-  SurfaceGroup(hid_t file, const SeriesShape& shape) : file_(file), shape_(shape) {
-    const Id group = hdf5::CreateGroup(file, "/surface");
-    hdf5::SetText(group.get(), "NX_class", "NXdata");
-    hdf5::SetText(group.get(), "signal", "position");
-    hdf5::SetTexts(group.get(), "axes", {"frame", "row", "col", "component"});
-    for (int field = 0; field < shape.fields(); ++field) datasets_.push_back(Create(field));
+  PointGroups(hid_t file, const SeriesShape& shape) : file_(file), shape_(shape) {
+    for (const PointGroupFacts& group : kPointGroups) {
+      if (!Holds(shape.contents(), group.needs)) continue;
+      const Id id = hdf5::CreateGroup(file, std::string(group.path));
+      hdf5::SetText(id.get(), "NX_class", "NXdata");
+      hdf5::SetText(id.get(), "signal", std::string(group.signal));
+      hdf5::SetTexts(id.get(), "axes", {"frame", "row", "col", "component"});
+    }
+    for (const PointField& field : PointFields()) {
+      datasets_.push_back(Holds(shape.contents(), field.needs) ? Create(field) : Id());
+    }
   }
 
   void Add(const FrameRecord& record) {
-    for (std::size_t field = 0; field < datasets_.size(); ++field) {
-      hdf5::Shape extent = Extent(static_cast<int>(field), frames_ + 1);
-      hdf5::Check(H5Dset_extent(datasets_[field].get(), extent.data()), "adding a frame");
+    for (std::size_t i = 0; i < datasets_.size(); ++i) {
+      if (datasets_[i].get() < 0) continue;
+      hdf5::Shape extent = Extent(PointFields()[i], frames_ + 1);
+      hdf5::Check(H5Dset_extent(datasets_[i].get(), extent.data()), "adding a frame");
     }
     for (const FrameRecord::Chunk& chunk : record.chunks) {
-      hdf5::Shape offset = Extent(chunk.field, frames_);
+      hdf5::Shape offset = Extent(PointFields()[chunk.field], frames_);
       std::fill(offset.begin() + 1, offset.end(), 0);
       offset[1] = static_cast<hsize_t>(chunk.band) * static_cast<hsize_t>(shape_.band_rows);
-      hdf5::Check(
-          H5Dwrite_chunk(datasets_[static_cast<std::size_t>(chunk.field)].get(), H5P_DEFAULT, 0,
-                         offset.data(), chunk.bytes.size(), chunk.bytes.data()),
-          "writing a frame");
+      hdf5::Check(H5Dwrite_chunk(datasets_[chunk.field].get(), H5P_DEFAULT, 0, offset.data(),
+                                 chunk.bytes.size(), chunk.bytes.data()),
+                  "writing a frame");
     }
     ++frames_;
   }
 
-  // Once /frames is there: the axes, and what the positions are given in.
+  // Once /frames is there: the axes, and what the vectors are given in.
   void Finish(const std::string& frame_of_positions) {
-    hdf5::HardLink(file_, "/frames/index", "/surface/frame");
-    hdf5::HardLink(file_, "/grid/row", "/surface/row");
-    hdf5::HardLink(file_, "/grid/col", "/surface/col");
-    Labels("/surface/component", "component", {"x", "y", "z"});
-    if (shape_.has_covariance != 0) {
-      Labels("/surface/covariance_component", "covariance_component",
-             {"xx", "xy", "xz", "yy", "yz", "zz"});
+    for (const PointGroupFacts& group : kPointGroups) {
+      if (!Holds(shape_.contents(), group.needs)) continue;
+      const std::string path(group.path);
+      hdf5::HardLink(file_, "/frames/index", path + "/frame");
+      hdf5::HardLink(file_, "/grid/row", path + "/row");
+      hdf5::HardLink(file_, "/grid/col", path + "/col");
+      if (!group.in_surface_frame) continue;
+      const std::string signal = path + "/" + std::string(group.signal);
+      hdf5::SetText(hdf5::OpenGroup(file_, path).get(), "frame", frame_of_positions);
+      hdf5::SetText(hdf5::OpenDataset(file_, signal).get(), "frame", frame_of_positions);
     }
-    for (std::size_t field = 0; field < datasets_.size(); ++field) {
-      std::vector<std::string> scales = {"/frames/index", "/grid/row", "/grid/col"};
-      const int components = kPointFields[field].components;
-      if (components == 3) scales.push_back("/surface/component");
-      if (components == 6) scales.push_back("/surface/covariance_component");
-      hdf5::AttachScales(file_, datasets_[field], scales);
-      datasets_[field].Close("closing a dataset");
+    for (std::size_t i = 0; i < datasets_.size(); ++i) {
+      if (datasets_[i].get() >= 0) Attach(PointFields()[i], &datasets_[i]);
     }
-    const Id group = hdf5::OpenGroup(file_, "/surface");
-    hdf5::SetText(group.get(), "frame", frame_of_positions);
-    hdf5::SetText(hdf5::OpenDataset(file_, "/surface/position").get(), "frame", frame_of_positions);
   }
 
  private:
-  hdf5::Shape Extent(int field, hsize_t frames) const {
+  hdf5::Shape Extent(const PointField& field, hsize_t frames) const {
     hdf5::Shape extent = {frames, static_cast<hsize_t>(shape_.rows),
                           static_cast<hsize_t>(shape_.columns)};
-    const int components = kPointFields[static_cast<std::size_t>(field)].components;
-    if (components > 1) extent.push_back(static_cast<hsize_t>(components));
+    if (field.axis->count > 1) extent.push_back(static_cast<hsize_t>(field.axis->count));
     return extent;
   }
 
-  Id Create(int field) {
-    const PointField& facts = kPointFields[static_cast<std::size_t>(field)];
-    hdf5::DatasetSpec spec{"/surface/" + std::string(facts.name), std::string(facts.units),
-                           std::string(facts.long_name), Extent(field, 0), Extent(field, 1)};
+  Id Create(const PointField& field) {
+    hdf5::DatasetSpec spec{field.Path(), std::string(field.units), std::string(field.long_name),
+                           Extent(field, 0), Extent(field, 1)};
     spec.chunk[1] = static_cast<hsize_t>(shape_.band_rows);
     // In a frame without a surface every point is masked.
-    if (facts.is_status) {
+    if (field.is_status()) {
       return CreateEnumDataset(file_, spec, kStatusNames,
                                static_cast<std::uint8_t>(Status::kMasked));
     }
@@ -105,16 +105,24 @@ class SurfaceGroup {
     return hdf5::CreateDataset(file_, spec, H5T_NATIVE_FLOAT, &fill);
   }
 
-  void Labels(const std::string& path, const std::string& label,
-              const std::vector<std::string>& names) {
-    hdf5::MakeScale(
-        hdf5::WriteTexts(file_, {path, "1", "component of the value", {names.size()}, {}}, names),
-        label);
+  void Attach(const PointField& field, Id* dataset) {
+    std::vector<std::string> scales = {"/frames/index", "/grid/row", "/grid/col"};
+    const ComponentAxis& axis = *field.axis;
+    if (axis.count > 1) {
+      const std::string label(axis.name);
+      scales.push_back(std::string(kPointGroups[field.group].path) + "/" + label);
+      if (!hdf5::Exists(file_, scales.back())) {
+        WriteNameAxis(file_, scales.back(), label, "component of the value",
+                      {axis.labels.begin(), axis.labels.begin() + axis.count});
+      }
+    }
+    hdf5::AttachScales(file_, *dataset, scales);
+    dataset->Close("closing a dataset");
   }
 
   hid_t file_;
   SeriesShape shape_;
-  std::vector<Id> datasets_;
+  std::vector<Id> datasets_;  // by the place in PointFields(); closed: not held
   hsize_t frames_ = 0;
 };
 
@@ -135,15 +143,20 @@ std::int64_t WritePacked(const fs::path& file_name, JournalReader& journal,
   Id file = hdf5::OpenFile(file_name, true);
   std::vector<SeriesFrame> frames;
   std::vector<std::uint8_t> has_surface;
-  SurfaceGroup surface(file.get(), start.shape);
+  const SeriesContents contents = start.shape.contents();
+  PointGroups points(file.get(), start.shape);
+  std::optional<PatchContours> contours;
+  if (contents.patch) contours.emplace(file.get());
   while (const auto payload = journal.Next()) {
     FrameRecord record = DecodeFrame(*payload, start.shape);
-    surface.Add(record);
+    points.Add(record);
+    if (contours) contours->Take(&record.frame);
     has_surface.push_back(record.has_surface ? 1 : 0);
     frames.push_back(std::move(record.frame));
   }
-  WriteFrameTables(file.get(), frames, has_surface);
-  surface.Finish(FrameOfPositions(frames, has_surface));
+  WriteFrameTables(file.get(), contents, frames, has_surface);
+  if (contours) contours->Finish();
+  points.Finish(FrameOfPositions(frames, has_surface));
   hdf5::SetText(file.get(), "inputs", inputs.empty() ? DescribeInputs(start.inputs) : inputs);
   file.Close("closing the file");
   return static_cast<std::int64_t>(frames.size());

@@ -12,9 +12,6 @@ std::filesystem::path PartsFolder(const std::filesystem::path& series);
 std::filesystem::path JournalFile(const std::filesystem::path& series);
 std::filesystem::path HeaderFile(const std::filesystem::path& series);
 
-// Writes header.h5: everything of the series but its frames. Throws hdf5::Error.
-void WriteSeriesHeader(const std::filesystem::path& file, const SeriesHeader& header);
-
 // Packs the parts into the series and removes them. `inputs`: what DescribeInputs() gives; empty:
 // it is made here from the paths in the journal. lock: refuse if somebody else is writing.
 // Throws InputError, EnvironmentError.

@@ -1,9 +1,11 @@
 #include "io/internal/series_tables.h"
 
 #include <array>
+#include <cctype>
 #include <cmath>
-#include <functional>
 #include <limits>
+
+#include "io/internal/series_records.h"
 
 namespace plumbline::internal {
 namespace {
@@ -69,174 +71,57 @@ void WriteFrames(hid_t file, const Frames& frames, const std::vector<std::uint8_
             Column<std::uint8_t>(frames, [](const auto& f) { return f.surface.frame; }));
 }
 
-// One number, vector or matrix of the ground a frame.
-struct GroundField {
-  std::string name, units, long_name;
-  hdf5::Shape shape;                // of one frame
-  std::vector<std::string> scales;  // of its dimensions
-  std::function<Eigen::MatrixXd(const GroundRecord&)> get;
-};
-
-double OffsetSigma(const GroundRecord& g, const Eigen::Matrix3d& cov) {
-  // A rotation (a, b) about e1, e2 turns the normal by b e1 - a e2; the plane goes through the
-  // centroid, so the offset at the origin moves by that times the centroid, and by the offset's
-  // own.
-  const Eigen::Vector3d c = g.centroid_in_rig_mm;
-  const Eigen::RowVector3d J(-g.e2_in_rig.dot(c), g.e1_in_rig.dot(c), 1);
-  return std::sqrt((J * cov * J.transpose()).value());
-}
-
-Eigen::MatrixXd Scalar(double value) { return Eigen::MatrixXd::Constant(1, 1, value); }
-
-std::vector<GroundField> GroundFields(hid_t file) {
-  const std::string xyz = "/ground/component", par = "/ground/plane_parameter",
-                    angle = "/ground/angle", index = hdf5::IndexScale(file, 4);
-  using G = const GroundRecord&;
-  return {
-      {"offset",
-       "mm",
-       "distance of the plane from the rig's origin along its normal",
-       {},
-       {},
-       [](G g) { return Scalar(g.offset_mm); }},
-      {"offset_errors_random",
-       "mm",
-       "standard deviation from independent noise",
-       {},
-       {},
-       [](G g) { return Scalar(OffsetSigma(g, g.cov_random)); }},
-      {"offset_errors_calibration",
-       "mm",
-       "standard deviation from the calibration",
-       {},
-       {},
-       [](G g) { return Scalar(OffsetSigma(g, g.cov_calibration)); }},
-      {"normal",
-       "1",
-       "unit normal of the plane, towards the rig, in the rig frame",
-       {3},
-       {xyz},
-       [](G g) { return g.normal_in_rig; }},
-      {"covariance_random",
-       "1",
-       "random covariance of (rotation about e1 and e2 in rad, offset at "
-       "the centroid in mm)",
-       {3, 3},
-       {par, par},
-       [](G g) { return g.cov_random; }},
-      {"covariance_calibration",
-       "1",
-       "calibration covariance of (rotation about e1 and e2 in rad, "
-       "offset at the centroid in mm)",
-       {3, 3},
-       {par, par},
-       [](G g) { return g.cov_calibration; }},
-      {"e1",
-       "1",
-       "first axis of the covariances, in the rig frame",
-       {3},
-       {xyz},
-       [](G g) { return g.e1_in_rig; }},
-      {"e2",
-       "1",
-       "second axis of the covariances, in the rig frame",
-       {3},
-       {xyz},
-       [](G g) { return g.e2_in_rig; }},
-      {"centroid",
-       "mm",
-       "where the covariances' offset is meant, in the rig frame",
-       {3},
-       {xyz},
-       [](G g) { return g.centroid_in_rig_mm; }},
-      {"ground_from_rig",
-       "mm",
-       "rigid motion from the rig to the ground frame: rotation (without "
-       "unit), translation in mm",
-       {4, 4},
-       {index, index},
-       [](G g) { return g.ground_from_rig.Matrix(); }},
-      {"angles_rad",
-       "rad",
-       "how the rig stands over the ground",
-       {3},
-       {angle},
-       [](G g) { return AnglesOf(g).angle_rad; }},
-      {"angles_rad_errors_random",
-       "rad",
-       "standard deviation from independent noise",
-       {3},
-       {angle},
-       [](G g) { return AnglesOf(g).sigma_random_rad; }},
-      {"angles_rad_errors_calibration",
-       "rad",
-       "standard deviation from the calibration",
-       {3},
-       {angle},
-       [](G g) { return AnglesOf(g).sigma_calibration_rad; }},
-      {"rms",
-       "mm",
-       "rms distance of the inliers from the plane",
-       {},
-       {},
-       [](G g) { return Scalar(g.rms_mm); }},
-      {"inlier_fraction",
-       "1",
-       "share of the points that lie on the plane",
-       {},
-       {},
-       [](G g) { return Scalar(g.inlier_fraction); }},
-  };
-}
-
-void WriteLabels(hid_t file, const std::string& path, const std::string& label,
-                 const std::string& long_name, const std::vector<std::string>& names) {
-  hdf5::MakeScale(hdf5::WriteTexts(file, {path, "1", long_name, {names.size()}, {}}, names), label);
-}
-
-void WriteGround(hid_t file, const Frames& frames) {
-  const Id group = hdf5::CreateGroup(file, "/ground");
-  hdf5::SetText(group.get(), "NX_class", "NXdata");
-  hdf5::SetText(group.get(), "signal", "offset");
-  hdf5::SetTexts(group.get(), "axes", {"frame"});
-  hdf5::HardLink(file, "/frames/index", "/ground/frame");
-  WriteLabels(file, "/ground/component", "component", "component of the vector", {"x", "y", "z"});
-  WriteLabels(file, "/ground/plane_parameter", "plane_parameter", "parameter of the plane",
-              {"rotation_about_e1_rad", "rotation_about_e2_rad", "offset_at_centroid_mm"});
-  WriteLabels(file, "/ground/angle", "angle",
-              "tilt about the rig's x axis, tilt about its y axis, angle to the optical axis",
-              {"tilt_x", "tilt_y", "inclination"});
-  for (const GroundField& field : GroundFields(file)) {
-    hdf5::Shape shape = field.shape;
-    shape.insert(shape.begin(), frames.size());
-    std::vector<double> values;
-    for (const SeriesFrame& frame : frames) {
-      Eigen::MatrixXd value = field.get(frame.ground);
-      if (!frame.ground.found) value.setConstant(std::numeric_limits<double>::quiet_NaN());
-      for (Eigen::Index r = 0; r < value.rows(); ++r) {
-        for (Eigen::Index c = 0; c < value.cols(); ++c) values.push_back(value(r, c));
+void WriteField(hid_t file, const RecordGroup& group, const RecordField& field,
+                const Frames& frames) {
+  hdf5::Shape shape = {frames.size()};
+  std::vector<std::string> scales = {"/frames/index"};
+  for (std::size_t d = 0; d < field.axes.size(); ++d) {
+    shape.push_back(static_cast<hsize_t>(field.shape[d]));
+    const bool is_index = std::isdigit(static_cast<unsigned char>(field.axes[d][0])) != 0;
+    scales.push_back(is_index ? hdf5::IndexScale(file, shape.back())
+                              : group.path + "/" + field.axes[d]);
+  }
+  constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+  std::vector<double> values;
+  for (const SeriesFrame& frame : frames) {
+    const Eigen::MatrixXd value = field.get(frame);
+    const bool found = group.found(frame);
+    for (Eigen::Index r = 0; r < value.rows(); ++r) {
+      for (Eigen::Index c = 0; c < value.cols(); ++c) {
+        values.push_back(found && std::isfinite(value(r, c)) ? value(r, c) : kNaN);
       }
     }
-    std::vector<std::string> scales = field.scales;
-    scales.insert(scales.begin(), "/frames/index");
-    hdf5::AttachScales(
-        file,
-        hdf5::WriteArray<double>(
-            file, {"/ground/" + field.name, field.units, field.long_name, shape, {}}, values),
-        scales);
   }
-  WriteEnum(file, "/ground/status", "whether a ground plane was found", kGroundStatusNames,
-            Column<std::uint8_t>(frames, [](const auto& f) { return f.ground.found ? 0 : 1; }));
   hdf5::AttachScales(
       file,
-      hdf5::WriteTexts(file,
-                       {"/ground/problem",
-                        "1",
-                        "why there is no plane; empty if there is one",
-                        {frames.size()},
-                        {}},
-                       Column<std::string>(frames, [](const auto& f) { return f.ground.problem; })),
-      {"/frames/index"});
+      hdf5::WriteArray<double>(
+          file, {group.path + "/" + field.name, field.units, field.long_name, shape, {}}, values),
+      scales);
+}
+
+void WriteRecords(hid_t file, const RecordGroup& group, const Frames& frames) {
+  const Id id = hdf5::CreateGroup(file, group.path);
+  if (!group.signal.empty()) {
+    hdf5::SetText(id.get(), "NX_class", "NXdata");
+    hdf5::SetText(id.get(), "signal", group.signal);
+    hdf5::SetTexts(id.get(), "axes", {"frame"});
+    hdf5::HardLink(file, "/frames/index", group.path + "/frame");
+  }
+  for (const RecordAxis& axis : group.axes) {
+    WriteNameAxis(file, group.path + "/" + axis.name, axis.name, axis.long_name, axis.labels);
+  }
+  for (const RecordField& field : group.fields) WriteField(file, group, field, frames);
+  WriteEnum(file, group.path + "/status", "whether a " + group.what + " was found", kFoundNames,
+            Column<std::uint8_t>(frames, [&](const auto& f) { return group.found(f) ? 0 : 1; }));
+  hdf5::AttachScales(file,
+                     hdf5::WriteTexts(file,
+                                      {group.path + "/problem",
+                                       "1",
+                                       "why there is no " + group.what + "; empty if there is one",
+                                       {frames.size()},
+                                       {}},
+                                      Column<std::string>(frames, group.problem)),
+                     {"/frames/index"});
 }
 
 }  // namespace
@@ -262,10 +147,25 @@ Id CreateEnumDataset(hid_t file, const hdf5::DatasetSpec& spec,
   return dataset;
 }
 
-void WriteFrameTables(hid_t file, const Frames& frames,
+void WriteNameAxis(hid_t file, const std::string& path, const std::string& label,
+                   const std::string& long_name, const std::vector<std::string>& names) {
+  hdf5::MakeScale(hdf5::WriteTexts(file, {path, "1", long_name, {names.size()}, {}}, names), label);
+}
+
+SeriesContents ContentsOf(hid_t file) {
+  SeriesContents contents;
+  for (const OptionalContent& content : kOptionalContents) {
+    contents.*content.flag = hdf5::Exists(file, std::string(content.path));
+  }
+  return contents;
+}
+
+void WriteFrameTables(hid_t file, const SeriesContents& contents, const Frames& frames,
                       const std::vector<std::uint8_t>& has_surface) {
   WriteFrames(file, frames, has_surface);
-  WriteGround(file, frames);
+  for (const RecordGroup& group : RecordGroups()) {
+    if (Holds(contents, group.needs)) WriteRecords(file, group, frames);
+  }
 }
 
 }  // namespace plumbline::internal

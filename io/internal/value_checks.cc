@@ -4,7 +4,9 @@
 #include <cmath>
 
 #include "io/internal/file_checks.h"
-#include "io/internal/series_layout.h"
+#include "io/internal/patch_contours.h"
+#include "io/internal/series_header.h"
+#include "io/internal/series_records.h"
 
 namespace plumbline::internal {
 namespace {
@@ -17,87 +19,135 @@ using Findings = std::vector<std::string>;
 constexpr hsize_t kMaxFrameElements = hsize_t{3} << 28;
 constexpr hsize_t kMaxFrames = 100'000'000;
 
-// Where there has to be a number: nowhere, at one of the points with the status ok at least, or at
-// all of them.
-enum class Needed { kNowhere, kSomewhere, kEverywhere };
+// Where there has to be a number: nowhere, at one of the points that are expected to have one at
+// least, or at all of them.
+enum class Needed : std::uint8_t { kNowhere, kSomewhere, kEverywhere };
 
-// A dataset whose first dimension counts the frames.
-struct FrameField {
-  std::string path;
-  std::string what;  // of a point or frame
+// A field of points of a group.
+struct OpenField {
+  const PointField* field;
+  std::string what;  // of a point
   Needed needed = Needed::kNowhere;
   Id dataset;
 };
 
-void OpenIfThere(hid_t file, FrameField field, const Shape& leading,
-                 std::vector<FrameField>* fields) {
-  if (!hdf5::Exists(file, field.path)) return;
-  field.dataset = hdf5::OpenDataset(file, field.path);
-  const Shape shape = hdf5::ShapeOf(field.dataset);
-  if (shape.size() < leading.size()) return;
-  if (!std::equal(leading.begin(), leading.end(), shape.begin())) return;
-  fields->push_back(std::move(field));
+// The dataset if it is there and begins with these dimensions; else nothing.
+Id OpenIfFits(hid_t file, const std::string& path, const Shape& leading) {
+  if (!hdf5::Exists(file, path)) return Id();
+  Id dataset = hdf5::OpenDataset(file, path);
+  const Shape shape = hdf5::ShapeOf(dataset);
+  const bool fits =
+      shape.size() >= leading.size() && std::equal(leading.begin(), leading.end(), shape.begin());
+  return fits ? std::move(dataset) : Id();
 }
 
-std::vector<FrameField> SurfaceFields(hid_t file, const Shape& size, bool has_modes) {
-  std::vector<FrameField> fields;
-  const auto add = [&](int index, const char* what, Needed needed) {
-    const std::string name(kPointFields[static_cast<std::size_t>(index)].name);
-    OpenIfThere(file, {"/surface/" + name, what, needed, Id()}, size, &fields);
-  };
-  add(kPosition, "position", Needed::kEverywhere);
-  add(kErrorsRandom, "random sigma", Needed::kEverywhere);
+// What a finding calls it, and where it has to hold numbers.
+OpenField Describe(const PointField& field, bool has_modes) {
   // A mode may bend the rays of a point so far that they no longer meet; it then has a position and
   // no sigma of the calibration.
   const Needed by_modes = has_modes ? Needed::kSomewhere : Needed::kNowhere;
-  add(kErrorsCalibration, "calibration sigma", by_modes);
-  add(kErrors, "combined sigma", by_modes);
-  add(kCovariance, "covariance", Needed::kEverywhere);
+  const std::string what(kPointGroups[field.group].what);
+  // Of the others only what they are of has to be known everywhere where the surface is.
+  const Needed value = field.group == kSurface ? Needed::kEverywhere : Needed::kNowhere;
+  switch (field.part) {
+    case PointPart::kValue:
+      return {&field, what, value, Id()};
+    case PointPart::kRandom:
+      return {&field, "random sigma of the " + what, Needed::kEverywhere, Id()};
+    case PointPart::kCalibration:
+      return {&field, "calibration sigma of the " + what, by_modes, Id()};
+    case PointPart::kCombined:
+      return {&field, "combined sigma of the " + what, by_modes, Id()};
+    case PointPart::kCovariance:
+      return {&field, "covariance", Needed::kEverywhere, Id()};
+    case PointPart::kPrincipal:
+      return {&field, "principal " + what, Needed::kEverywhere, Id()};
+    default:
+      return {&field, "direction of principal " + what, Needed::kNowhere, Id()};
+  }
+}
+
+// The fields of a group that go by its vectors, these first. None where the vectors are not there.
+std::vector<OpenField> FieldsOf(hid_t file, PointGroup group, const Shape& size, bool has_modes) {
+  std::vector<OpenField> fields;
+  for (const PointField& field : PointFields()) {
+    if (field.group != group || field.is_status() || field.part == PointPart::kCorrelation ||
+        field.part == PointPart::kEpipolar) {
+      continue;
+    }
+    OpenField open = Describe(field, has_modes);
+    open.dataset = OpenIfFits(file, field.Path(), size);
+    if (open.dataset.get() >= 0) fields.push_back(std::move(open));
+  }
+  if (!fields.empty() && fields[0].field->part != PointPart::kValue) fields.clear();
   return fields;
 }
 
-std::vector<FrameField> GroundFields(hid_t file, hsize_t frames) {
-  std::vector<FrameField> fields;
-  for (const char* name : {"normal", "offset", "ground_from_rig"}) {
-    OpenIfThere(file, {std::string("/ground/") + name, name, Needed::kEverywhere, Id()}, {frames},
-                &fields);
-  }
-  for (const char* name :
-       {"covariance_random", "covariance_calibration", "offset_errors_random",
-        "offset_errors_calibration", "angles_rad", "angles_rad_errors_random",
-        "angles_rad_errors_calibration", "e1", "e2", "centroid", "rms", "inlier_fraction"}) {
-    OpenIfThere(file, {std::string("/ground/") + name, name, Needed::kNowhere, Id()}, {frames},
-                &fields);
-  }
-  return fields;
+enum class Found : std::uint8_t { kNothing, kNumbers, kPartly, kInfinite };
+
+Found Look(const float* value, std::size_t components) {
+  const auto is_finite = [](float v) { return std::isfinite(v); };
+  const auto is_nan = [](float v) { return std::isnan(v); };
+  const auto is_infinite = [](float v) { return std::isinf(v); };
+  const float* end = value + components;
+  if (std::all_of(value, end, is_nan)) return Found::kNothing;
+  if (std::all_of(value, end, is_finite)) return Found::kNumbers;
+  return std::any_of(value, end, is_infinite) ? Found::kInfinite : Found::kPartly;
 }
 
-// The points of one frame: numbers and status have to say the same, both ways.
-void CheckPoints(const std::vector<float>& values, const std::vector<std::uint8_t>& status,
-                 const FrameField& field, hsize_t frame, Findings* findings) {
-  const std::size_t components = values.size() / status.size();
-  std::int64_t count_ok = 0, missing = 0, surplus = 0;
-  for (std::size_t i = 0; i < status.size(); ++i) {
-    const float* value = values.data() + i * components;
-    const bool ok = status[i] == static_cast<std::uint8_t>(Status::kOk);
-    const auto is_finite = [](float v) { return std::isfinite(v); };
-    const auto is_nan = [](float v) { return std::isnan(v); };
-    if (ok) ++count_ok;
-    if (ok && !std::all_of(value, value + components, is_finite)) ++missing;
-    if (!ok && !std::all_of(value, value + components, is_nan)) ++surplus;
+// The points of one frame: numbers and what is expected of each point have to say the same, both
+// ways. denied_by: what does not expect a value.
+void CheckPoints(const std::vector<float>& values, const std::vector<std::uint8_t>& expected,
+                 const OpenField& field, const std::string& denied_by, hsize_t frame,
+                 Findings* findings) {
+  const std::size_t components = values.size() / expected.size();
+  std::int64_t count = 0, missing = 0, surplus = 0, infinite = 0;
+  for (std::size_t i = 0; i < expected.size(); ++i) {
+    const Found found = Look(values.data() + i * components, components);
+    count += expected[i];
+    if (expected[i] != 0 && found != Found::kNumbers) ++missing;
+    // A vector needs all of its components.
+    const bool is_vector = field.field->part == PointPart::kValue;
+    if (expected[i] != 0 && (found == Found::kInfinite || (is_vector && found == Found::kPartly))) {
+      ++infinite;
+    }
+    if (expected[i] == 0 && found != Found::kNothing) ++surplus;
   }
   if (missing > 0 && (field.needed == Needed::kEverywhere ||
-                      (field.needed == Needed::kSomewhere && missing == count_ok))) {
+                      (field.needed == Needed::kSomewhere && missing == count))) {
     findings->push_back(fmt::format("frame {}: {} points have the status ok and no {}", frame,
                                     missing, field.what));
+  } else if (infinite > 0) {
+    findings->push_back(
+        fmt::format("frame {}: {} points have a {} that is infinite or lacks a component", frame,
+                    infinite, field.what));
   }
   if (surplus > 0) {
-    findings->push_back(fmt::format("frame {}: {} points have a {} that their status denies", frame,
-                                    surplus, field.what));
+    findings->push_back(fmt::format("frame {}: {} points have a {} that their {} denies", frame,
+                                    surplus, field.what, denied_by));
   }
 }
 
-void CheckSurfaces(hid_t file, hsize_t frames, Findings* findings) {
+// One group of one frame. At a point with the status ok the surface has to be there, other vectors
+// may be missing; all else of the group has to be there where the vector is.
+void CheckGroup(const std::vector<OpenField>& fields, std::vector<std::uint8_t> expected,
+                hsize_t frame, Findings* findings) {
+  for (const OpenField& field : fields) {
+    const auto values = hdf5::ReadSlab<float>(field.dataset, frame, kMaxFrameElements);
+    const bool is_surface = field.field->group == kSurface;
+    const bool is_vector = field.field->part == PointPart::kValue;
+    const std::string what(kPointGroups[field.field->group].what);
+    CheckPoints(values, expected, field, is_surface || is_vector ? "status" : "missing " + what,
+                frame, findings);
+    if (is_surface || !is_vector) continue;
+    const std::size_t components = values.size() / expected.size();
+    for (std::size_t i = 0; i < expected.size(); ++i) {
+      if (Look(values.data() + i * components, components) == Found::kNothing) expected[i] = 0;
+    }
+  }
+}
+
+void CheckFieldsOfPoints(hid_t file, hsize_t frames, Findings* findings) {
   const Id status = hdf5::OpenDataset(file, "/surface/status");
   const Id frame_status = hdf5::OpenDataset(file, "/frames/status");
   const Shape size = hdf5::ShapeOf(status);
@@ -105,51 +155,97 @@ void CheckSurfaces(hid_t file, hsize_t frames, Findings* findings) {
   const bool has_modes =
       hdf5::Exists(file, "/rig/mode") &&
       hdf5::ElementCount(hdf5::ShapeOf(hdf5::OpenDataset(file, "/rig/mode"))) > 0;
-  const std::vector<FrameField> fields = SurfaceFields(file, size, has_modes);
+  std::vector<std::vector<OpenField>> groups;
+  for (int group = 0; group < kPointGroupCount; ++group) {
+    groups.push_back(FieldsOf(file, static_cast<PointGroup>(group), size, has_modes));
+  }
   for (hsize_t i = 0; i < frames; ++i) {
     const auto codes = hdf5::ReadSlabBytes(status, i, kMaxFrameElements);
-    const auto ok = std::count(codes.begin(), codes.end(), static_cast<std::uint8_t>(Status::kOk));
+    std::vector<std::uint8_t> ok(codes.size());
+    std::transform(codes.begin(), codes.end(), ok.begin(), [](std::uint8_t code) {
+      return static_cast<std::uint8_t>(code == static_cast<std::uint8_t>(Status::kOk) ? 1 : 0);
+    });
+    const auto count = std::count(ok.begin(), ok.end(), std::uint8_t{1});
     const auto unknown = std::count_if(
         codes.begin(), codes.end(), [](std::uint8_t code) { return code >= kStatusNames.size(); });
     if (unknown > 0) {
       findings->push_back(fmt::format("frame {}: {} points have an unknown status", i, unknown));
     }
-    if (hdf5::ReadSlabBytes(frame_status, i, 1).at(0) != 0 && ok > 0) {
+    if (hdf5::ReadSlabBytes(frame_status, i, 1).at(0) != 0 && count > 0) {
       findings->push_back(fmt::format(
-          "frame {}: {} points have the status ok in a frame without a surface", i, ok));
+          "frame {}: {} points have the status ok in a frame without a surface", i, count));
     }
-    for (const FrameField& field : fields) {
-      CheckPoints(hdf5::ReadSlab<float>(field.dataset, i, kMaxFrameElements), codes, field, i,
-                  findings);
+    for (const auto& fields : groups) CheckGroup(fields, ok, i, findings);
+  }
+}
+
+void CheckRecords(hid_t file, const RecordGroup& group, hsize_t frames, Findings* findings) {
+  const Id status = hdf5::OpenDataset(file, group.path + "/status");
+  if (hdf5::ShapeOf(status) != Shape{frames}) return;
+  for (const RecordField& field : group.fields) {
+    const std::string path = group.path + "/" + field.name;
+    const Id dataset = OpenIfFits(file, path, {frames});
+    if (dataset.get() < 0) continue;
+    for (hsize_t i = 0; i < frames; ++i) {
+      const bool found = hdf5::ReadSlabBytes(status, i, 1).at(0) == 0;
+      const auto values = hdf5::ReadSlab<double>(dataset, i, 16);
+      const auto is_finite = [](double v) { return std::isfinite(v); };
+      const auto is_nan = [](double v) { return std::isnan(v); };
+      if (found && field.needed && !std::all_of(values.begin(), values.end(), is_finite)) {
+        findings->push_back(
+            fmt::format("frame {}: a {} was found and has no {}", i, group.what, field.name));
+      } else if (found && std::any_of(values.begin(), values.end(),
+                                      [](double v) { return std::isinf(v); })) {
+        findings->push_back(fmt::format("frame {}: {} holds an infinite value", i, path));
+      }
+      if (!found && !std::all_of(values.begin(), values.end(), is_nan)) {
+        findings->push_back(
+            fmt::format("frame {}: no {} was found, and {} holds a value", i, group.what, path));
+      }
     }
   }
 }
 
-void CheckGrounds(hid_t file, hsize_t frames, Findings* findings) {
-  const Id status = hdf5::OpenDataset(file, "/ground/status");
-  if (hdf5::ShapeOf(status) != Shape{frames}) return;
-  const std::vector<FrameField> fields = GroundFields(file, frames);
+void CheckContours(hid_t file, hsize_t frames, Findings* findings) {
+  for (const char* name : {"contour_first", "contour_count", "status"}) {
+    const std::string path = std::string("/patch/") + name;
+    if (OpenIfFits(file, path, {frames}).get() < 0) return;
+  }
+  if (!hdf5::Exists(file, "/patch/contour")) return;
+  const Id status = hdf5::OpenDataset(file, "/patch/status");
   for (hsize_t i = 0; i < frames; ++i) {
-    const bool found = hdf5::ReadSlabBytes(status, i, 1).at(0) == 0;
-    for (const FrameField& field : fields) {
-      const auto values = hdf5::ReadSlab<double>(field.dataset, i, 16);
-      const auto is_finite = [](double v) { return std::isfinite(v); };
-      const auto is_nan = [](double v) { return std::isnan(v); };
-      if (found && field.needed == Needed::kEverywhere &&
-          !std::all_of(values.begin(), values.end(), is_finite)) {
+    try {
+      const auto contour = ReadPatchContour(file, i);
+      if (!contour.empty() && hdf5::ReadSlabBytes(status, i, 1).at(0) != 0) {
         findings->push_back(
-            fmt::format("frame {}: a ground plane was found and has no {}", i, field.what));
+            fmt::format("frame {}: no contact patch was found, and it has a contour", i));
       }
-      if (!found && !std::all_of(values.begin(), values.end(), is_nan)) {
-        findings->push_back(fmt::format("frame {}: no ground plane was found, and {} holds a value",
-                                        i, field.path));
+      if (!std::all_of(contour.begin(), contour.end(),
+                       [](const Eigen::Vector2d& point) { return point.allFinite(); })) {
+        findings->push_back(
+            fmt::format("frame {}: its contour holds values that are no numbers", i));
       }
+    } catch (const hdf5::Error& error) {
+      findings->push_back(fmt::format("frame {}: its contour cannot be read: {}", i, error.what()));
     }
+  }
+}
+
+void CheckChannels(hid_t file, Findings* findings) {
+  if (!hdf5::Exists(file, "/channels")) return;
+  const Id group = hdf5::OpenGroup(file, "/channels");
+  for (const std::string& name : hdf5::LinkNames(group.get())) {
+    if (!hdf5::Exists(group.get(), name + "/time_s")) continue;
+    const auto time_s = hdf5::ReadArray<double>(group.get(), name + "/time_s");
+    const std::size_t wrong = FirstWrongTime(time_s);
+    if (wrong == time_s.size()) continue;
+    findings->push_back(
+        fmt::format("/channels/{}: its time {} is no number or goes back", name, wrong));
   }
 }
 
 // Reasons why there is nothing, beside a status that says there is something.
-void CheckProblems(hid_t file, const std::string& group, const char* what, hsize_t frames,
+void CheckProblems(hid_t file, const std::string& group, const std::string& what, hsize_t frames,
                    Findings* findings) {
   const Id status = hdf5::OpenDataset(file, group + "/status");
   const auto problems = hdf5::ReadTexts(file, group + "/problem");
@@ -157,7 +253,7 @@ void CheckProblems(hid_t file, const std::string& group, const char* what, hsize
   for (hsize_t i = 0; i < frames; ++i) {
     if (problems[i].empty() || hdf5::ReadSlabBytes(status, i, 1).at(0) != 0) continue;
     findings->push_back(
-        fmt::format("frame {} holds {} and yet a reason why not: {}", i, what, problems[i]));
+        fmt::format("frame {} holds a {} and yet a reason why not: {}", i, what, problems[i]));
   }
 }
 
@@ -172,18 +268,23 @@ Findings CheckValues(hid_t file) {
       findings.emplace_back(error.what());
     }
   };
-  for (const char* path : {"/frames/status", "/surface/status", "/ground/status", "/frames/problem",
-                           "/ground/problem"}) {
-    if (!hdf5::Exists(file, path)) return findings;
+  const auto is_there = [&](const std::string& path) { return hdf5::Exists(file, path); };
+  attempt([&] { CheckChannels(file, &findings); });
+  for (const char* path : {"/frames/status", "/surface/status", "/frames/problem"}) {
+    if (!is_there(path)) return findings;
   }
   attempt([&] {
     const Shape shape = hdf5::ShapeOf(hdf5::OpenDataset(file, "/frames/status"));
     if (shape.size() != 1) return;
     if (shape[0] > kMaxFrames) throw hdf5::Error("/frames/status is too large");
-    attempt([&] { CheckSurfaces(file, shape[0], &findings); });
-    attempt([&] { CheckGrounds(file, shape[0], &findings); });
-    attempt([&] { CheckProblems(file, "/frames", "a surface", shape[0], &findings); });
-    attempt([&] { CheckProblems(file, "/ground", "a ground plane", shape[0], &findings); });
+    attempt([&] { CheckFieldsOfPoints(file, shape[0], &findings); });
+    attempt([&] { CheckProblems(file, "/frames", "surface", shape[0], &findings); });
+    for (const RecordGroup& group : RecordGroups()) {
+      if (!is_there(group.path + "/status") || !is_there(group.path + "/problem")) continue;
+      attempt([&] { CheckRecords(file, group, shape[0], &findings); });
+      attempt([&] { CheckProblems(file, group.path, group.what, shape[0], &findings); });
+    }
+    attempt([&] { CheckContours(file, shape[0], &findings); });
   });
   return findings;
 }

@@ -150,6 +150,76 @@ TEST(Validate, FindsValuesThatTheirStatusDenies) {
        {"f['ground/status'][1] = 0", "frame 1: a ground plane was found and has no offset"}});
 }
 
+fs::path WriteAllGroups(const fs::path& file) {
+  SeriesWriter writer(file, testing::FullHeader());
+  for (int i = 0; i < 3; ++i) writer.Commit(testing::FullFrame(i));
+  writer.Close();
+  return file;
+}
+
+TEST(Validate, FindsWhatIsMissingInOptionalGroups) {
+  ExpectFindings(
+      WriteAllGroups(testing::TestFolder() / "run.h5"),
+      {{"del f['displacement'].attrs['reference']", "/displacement has no attribute reference"},
+       {"f['displacement'].attrs['reference'] = 'first'",
+        "the attribute reference of /displacement is \"first\", which means nothing"},
+       {"del f['grid'].attrs['points']", "/grid has no attribute points"},
+       {"f['grid'].attrs['points'] = 'pixel'", "the attribute points of /grid is \"pixel\""},
+       {"del f['strain'].attrs['vsg_mm']", "/strain has no attribute vsg_mm"},
+       {"del f['slip'].attrs['convention']", "/slip has no attribute convention"},
+       {"del f['slip'].attrs['axes']", "/slip has no attribute axes"},
+       {"del f['displacement/value'].attrs['frame']", "/displacement/value has no attribute frame"},
+       {"del f['displacement/value_errors']", "there is no dataset /displacement/value_errors"},
+       {"del f['strain/principal']", "there is no dataset /strain/principal"},
+       {"del f['wheel/axis_covariance_random']",
+        "there is no dataset /wheel/axis_covariance_random"},
+       {"del f['wheel/radius_errors'].attrs['units']", "/wheel/radius_errors has no units"},
+       {"del f['patch/contour_first']", "there is no dataset /patch/contour_first"},
+       {"del f['slip/problem']", "there is no dataset /slip/problem"},
+       {"f['strain/angle'].resize(2, axis=0)",
+        "/strain/angle holds 2 x 5 x 7, which should be 3 frames x 5 rows x 7 columns"},
+       {"f['patch/contour'].resize(7, axis=0)",
+        "/patch/contour holds 7 x 2, which should be 8 contour points x 2"},
+       {"del f['channels/Fz/time_s']", "there is no dataset /channels/Fz/time_s"},
+       {"del f['channels/Fz'].attrs['signal']", "/channels/Fz has no attribute signal"},
+       {"del f['channels/Fz/value']; f['channels/Fz/value'] = np.zeros(3)",
+        "/channels/Fz/value holds 3, which should be 4 samples of /channels/Fz"},
+       {"f['channels/x'] = np.zeros(3)", "opening /channels/x"}});
+}
+
+TEST(Validate, FindsValuesThatDoNotBelongInOptionalGroups) {
+  ExpectFindings(
+      WriteAllGroups(testing::TestFolder() / "run.h5"),
+      {{"f['displacement/value'][2, 0, 3] = 5",
+        "frame 2: 1 points have a displacement that their status denies"},
+       {"f['displacement/value'][2, 0, 0, 1] = np.inf",
+        "frame 2: 1 points have a displacement that is infinite or lacks a component"},
+       {"f['slip/velocity'][2, 0, 0, 1] = np.nan",
+        "frame 2: 1 points have a velocity that is infinite or lacks a component"},
+       {"f['displacement/value_errors_random'][2, 0, 0] = np.nan",
+        "frame 2: 1 points have the status ok and no random sigma of the displacement"},
+       {"f['displacement/value_errors_random'][2, 0, 1] = 1",
+        "frame 2: 1 points have a random sigma of the displacement that their missing "
+        "displacement denies"},
+       {"f['strain/green_lagrange_errors_calibration'][1] = np.nan",
+        "frame 1: 27 points have the status ok and no calibration sigma of the strain"},
+       {"f['strain/green_lagrange_errors'][1, 0, 0, 0] = np.inf",
+        "frame 1: 1 points have a combined sigma of the strain that is infinite"},
+       {"f['strain/principal'][1, 0, 0] = np.nan", "have the status ok and no principal strain"},
+       {"f['wheel/axis'][1, 2] = np.nan", "frame 1: a wheel was found and has no axis"},
+       {"f['wheel/speed'][1] = np.inf", "frame 1: /wheel/speed holds an infinite value"},
+       {"f['patch/area_mm2'][1] = 1",
+        "frame 1: no contact patch was found, and /patch/area_mm2 holds a value"},
+       {"f['patch/status'][1] = 0", "frame 1 holds a contact patch and yet a reason why not"},
+       {"f['patch/contour_count'][1] = 2",
+        "frame 1: no contact patch was found, and it has a contour"},
+       {"f['patch/contour_first'][2] = 6", "frame 2: its contour cannot be read"},
+       {"f['patch/contour'][4, 0] = np.nan",
+        "frame 2: its contour holds values that are no numbers"},
+       {"f['slip/ratio'][0] = np.nan", "frame 0: a wheel slip was found and has no ratio"},
+       {"f['channels/Fz/time_s'][2] = -1", "/channels/Fz: its time 2 is no number or goes back"}});
+}
+
 TEST(Validate, FindsWhatIsWrongInARigFile) {
   const fs::path file = testing::TestFolder() / "rig.h5";
   RigFileExtras extras;

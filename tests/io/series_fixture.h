@@ -26,14 +26,13 @@ inline StereoRig SmallRig() {
 }
 
 inline SeriesHeader SmallHeader(ImageSize grid = {7, 5}) {
-  SeriesHeader header{SmallRig(),
-                      Image<Eigen::Vector2f>(grid, Eigen::Vector2f::Zero()),
-                      4,
-                      11,
-                      "threads = 2\n",
-                      {},
-                      {},
-                      false};
+  SeriesHeader header{.rig = SmallRig(),
+                      .grid_px = Image<Eigen::Vector2f>(grid, Eigen::Vector2f::Zero()),
+                      .step_px = 4,
+                      .subset_px = 11,
+                      .recipe_toml = "threads = 2\n",
+                      .inputs = {},
+                      .rig_extras = {}};
   for (int r = 0; r < grid.height; ++r) {
     for (int c = 0; c < grid.width; ++c) {
       header.grid_px(r, c) = Eigen::Vector2f(static_cast<float>(4 * c), static_cast<float>(4 * r));
@@ -79,6 +78,94 @@ inline SeriesFrame SmallFrame(std::int64_t i, ImageSize grid = {7, 5}) {
   g.ground_from_rig = Rigid3::FromRotationVector({3, 0.1, 0.2}, {1, 2, 400});
   g.rms_mm = 0.03;
   g.inlier_fraction = 0.9;
+  return frame;
+}
+
+// A header with every optional group.
+inline SeriesHeader FullHeader(ImageSize grid = {7, 5}) {
+  SeriesHeader header = SmallHeader(grid);
+  header.contents = {true, true, true, true, true, true};
+  header.grid_points = "material";
+  header.displacement_reference = "frame 10";
+  header.vsg_px = 27;
+  header.vsg_mm = 5.5;
+  header.channels = {{"Fz", "N", "vertical force", {-0.1, 0, 0.05, 0.1}, {1, 2, 3, 4}},
+                     {"empty", "", "", {}, {}}};
+  return header;
+}
+
+// A frame that fills every optional group, from the values of SmallFrame(). The second point has a
+// surface and neither displacement nor strain nor velocity.
+inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
+  SeriesFrame frame = SmallFrame(i, grid);
+  const Image<Eigen::Vector3f> none(
+      grid, Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN()));
+  frame.surface.cov_random_mm2 =
+      Image<Eigen::Matrix<float, 6, 1>>(grid, Eigen::Matrix<float, 6, 1>::Ones());
+  DisplacementField& u = frame.displacement;
+  StrainField& e = frame.strain;
+  SlipRecord& slip = frame.slip;
+  u.value_mm = u.sigma_random_mm = u.sigma_calibration_mm = none;
+  e.green_lagrange = e.sigma_random = e.sigma_calibration = none;
+  slip.velocity_mm_s = slip.sigma_random_mm_s = slip.sigma_calibration_mm_s = none;
+  for (std::size_t k = 0; k < none.pixel_count(); ++k) {
+    if (k == 1 || frame.surface.status.data()[k] != Status::kOk) continue;
+    const Eigen::Vector3f& p = frame.surface.position_mm.data()[k];
+    u.value_mm.data()[k] = 0.1f * p;
+    u.sigma_random_mm.data()[k] = Eigen::Vector3f(0.3f, 0.4f, 0.5f);
+    u.sigma_calibration_mm.data()[k] = Eigen::Vector3f(0.4f, 0.3f, 1.2f);
+    e.green_lagrange.data()[k] = Eigen::Vector3f(1e-3f * p.x(), -2e-3f, 5e-4f * p.y());
+    e.sigma_random.data()[k].setConstant(1e-4f);
+    e.sigma_calibration.data()[k].setConstant(2e-4f);
+    slip.velocity_mm_s.data()[k] = -p;
+    slip.sigma_random_mm_s.data()[k].setConstant(0.5f);
+    slip.sigma_calibration_mm_s.data()[k].setConstant(0.25f);
+  }
+  const auto t = static_cast<double>(i);
+  WheelRecord& wheel = frame.wheel;
+  wheel.found = true;
+  wheel.axis = Eigen::Vector3d(0.01, 1, 0.02 * t).normalized();
+  wheel.centre_mm = Eigen::Vector3d(t, 2, 300);
+  wheel.radius_mm = 310.5;
+  wheel.angle_rad = 0.1 * t;  // the speed is not known
+  wheel.cov_axis_random << 1e-6, 1e-9, 2e-9, 1e-9, 4e-6, 3e-9, 2e-9, 3e-9, 9e-6;
+  wheel.cov_axis_calibration = 4 * wheel.cov_axis_random;
+  wheel.sigma_random_centre_mm = Eigen::Vector3d(0.1, 0.2, 0.3);
+  wheel.sigma_calibration_centre_mm = Eigen::Vector3d(0.4, 0.5, 0.6);
+  wheel.sigma_random_radius_mm = 0.03;
+  wheel.sigma_calibration_radius_mm = 0.04;
+  wheel.sigma_random_angle_rad = 0.001;
+  wheel.sigma_calibration_angle_rad = 0.002;
+  PatchRecord& patch = frame.patch;
+  patch.found = i != 1;
+  if (!patch.found) patch.problem = "the wheel is in the air";
+  if (patch.found) {
+    patch.area_mm2 = 12000 + t;
+    patch.length_mm = 150;
+    patch.width_mm = 80;
+    patch.centroid_mm = Eigen::Vector2d(3, -4);
+    patch.sigma_random_area_mm2 = 30;
+    patch.sigma_calibration_area_mm2 = 40;
+    patch.sigma_random_length_mm = 0.5;
+    patch.sigma_calibration_length_mm = 0.7;
+    patch.sigma_random_width_mm = 0.6;
+    patch.sigma_calibration_width_mm = 0.8;
+    patch.sigma_random_centroid_mm = Eigen::Vector2d(0.1, 0.2);
+    patch.sigma_calibration_centroid_mm = Eigen::Vector2d(0.3, 0.4);
+    patch.threshold_mm = 0.2;
+    patch.d_area_d_threshold_mm = 900;
+    for (int k = 0; k < 3 + static_cast<int>(i % 4); ++k) patch.contour_mm.emplace_back(t, k);
+  }
+  slip.found = i % 2 == 0;
+  if (!slip.found) slip.problem = "the wheel does not turn";
+  if (slip.found) {
+    slip.ratio = 0.01 * t;
+    slip.angle_rad = -0.02;
+    slip.sigma_random_ratio = 0.003;
+    slip.sigma_calibration_ratio = 0.004;
+    slip.sigma_random_angle_rad = 0.005;
+    slip.sigma_calibration_angle_rad = 0.012;
+  }
   return frame;
 }
 

@@ -12,6 +12,7 @@
 #include "calib/error.h"
 #include "io/series_reader.h"
 #include "io/series_writer.h"
+#include "tests/io/series_comparison.h"
 #include "tests/io/series_fixture.h"
 #include "tests/support/numeric_jacobian.h"
 #include "tests/support/shared_data.h"
@@ -19,51 +20,14 @@
 namespace plumbline {
 namespace {
 namespace fs = std::filesystem;
+using testing::ExpectSameBits;
+using testing::ExpectSameFrame;
+using testing::FullFrame;
+using testing::FullHeader;
 using ::testing::HasSubstr;
 using testing::SmallFrame;
 using testing::SmallHeader;
 using testing::TestFolder;
-
-template <typename Element>
-void ExpectSameBits(const Image<Element>& a, const Image<Element>& b) {
-  ASSERT_EQ(a.size(), b.size());
-  if (a.empty()) return;  // nothing there: memcmp may not be given null
-  EXPECT_EQ(std::memcmp(a.data(), b.data(), a.pixel_count() * sizeof(Element)), 0);
-}
-
-// Compares through a NaN mask, since NaN patterns may differ.
-void ExpectSameFrame(const SeriesFrame& a, const SeriesFrame& b) {
-  EXPECT_EQ(a.index, b.index);
-  EXPECT_EQ(a.time_s, b.time_s);
-  EXPECT_EQ(a.left_id, b.left_id);
-  EXPECT_EQ(a.right_id, b.right_id);
-  EXPECT_EQ(a.problem, b.problem);
-  EXPECT_EQ(a.dropped_before, b.dropped_before);
-  EXPECT_EQ(a.surface.frame, b.surface.frame);
-  ExpectSameBits(a.surface.status, b.surface.status);
-  ASSERT_EQ(a.surface.position_mm.size(), b.surface.position_mm.size());
-  for (std::size_t i = 0; i < a.surface.status.pixel_count(); ++i) {
-    if (a.surface.status.data()[i] != Status::kOk) {
-      EXPECT_TRUE(b.surface.position_mm.data()[i].array().isNaN().all());
-      EXPECT_TRUE(b.surface.sigma_random_mm.data()[i].array().isNaN().all());
-      continue;
-    }
-    EXPECT_EQ(a.surface.position_mm.data()[i], b.surface.position_mm.data()[i]);
-    EXPECT_EQ(a.surface.sigma_random_mm.data()[i], b.surface.sigma_random_mm.data()[i]);
-    EXPECT_EQ(a.surface.sigma_calibration_mm.data()[i], b.surface.sigma_calibration_mm.data()[i]);
-    EXPECT_EQ(a.surface.correlation.data()[i], b.surface.correlation.data()[i]);
-    EXPECT_EQ(a.surface.epipolar_px.data()[i], b.surface.epipolar_px.data()[i]);
-  }
-  EXPECT_EQ(a.ground.found, b.ground.found);
-  EXPECT_EQ(a.ground.problem, b.ground.problem);
-  if (!a.ground.found) return;
-  EXPECT_EQ(a.ground.normal_in_rig, b.ground.normal_in_rig);
-  EXPECT_EQ(a.ground.cov_random, b.ground.cov_random);
-  EXPECT_EQ(a.ground.cov_calibration, b.ground.cov_calibration);
-  EXPECT_EQ(a.ground.offset_mm, b.ground.offset_mm);
-  EXPECT_EQ(a.ground.ground_from_rig.Matrix(), b.ground.ground_from_rig.Matrix());
-  EXPECT_EQ(a.ground.centroid_in_rig_mm, b.ground.centroid_in_rig_mm);
-}
 
 void WriteSmallSeries(const fs::path& file, int frames, SeriesHeader header = SmallHeader()) {
   SeriesWriter writer(file, header);
@@ -110,7 +74,7 @@ TEST(Series, HoldsLargeFramesCutIntoBands) {
   const fs::path file = TestFolder() / "run.h5";
   const ImageSize grid{700, 401};  // 124 rows a band: the last one is cut
   SeriesHeader header = SmallHeader(grid);
-  header.has_covariance = true;
+  header.contents.covariance = true;
   SeriesFrame frame = SmallFrame(3, grid);
   frame.surface.cov_random_mm2 =
       Image<Eigen::Matrix<float, 6, 1>>(grid, Eigen::Matrix<float, 6, 1>::Zero());
@@ -156,10 +120,10 @@ TEST(Series, RefusesASurfaceOfAnotherSize) {
 TEST(SeriesChild, DISABLED_CommitsUntilKilled) {
   const char* file = std::getenv("PLUMBLINE_SERIES_CHILD");
   if (file == nullptr) GTEST_SKIP() << "a part of Series.AKilledRunLosesNoCommittedFrame";
-  SeriesWriter writer(file, SmallHeader({70, 50}));
+  SeriesWriter writer(file, FullHeader({70, 50}));
   std::ofstream told(std::string(file) + ".told", std::ios::binary);
   for (int i = 0; i < 100'000; ++i) {
-    writer.Commit(SmallFrame(i, {70, 50}));
+    writer.Commit(FullFrame(i, {70, 50}));
     told << 'x' << std::flush;
   }
 }
@@ -193,7 +157,10 @@ TEST(Series, AKilledRunLosesNoCommittedFrame) {
     EXPECT_LE(recovered.frames, reported + 1);
     const SeriesReader reader(file);
     ASSERT_EQ(reader.frame_count(), recovered.frames);
-    ExpectSameFrame(SmallFrame(reported - 1, {70, 50}), reader.Frame(reported - 1));
+    EXPECT_EQ(reader.contents(), FullHeader().contents);
+    EXPECT_EQ(reader.displacement_reference(), "frame 10");
+    EXPECT_EQ(reader.channels().size(), 2u);
+    ExpectSameFrame(FullFrame(reported - 1, {70, 50}), reader.Frame(reported - 1));
     with_frames += reported > 2 ? 1 : 0;
     EXPECT_FALSE(fs::exists(file.string() + ".parts"));
   }
@@ -206,8 +173,8 @@ TEST(Series, RecoversUpToTheFirstDamagedByte) {
   for (int round = 0; round < 20; ++round) {
     const fs::path file = folder / ("run" + std::to_string(round) + ".h5");
     {
-      SeriesWriter writer(file, SmallHeader());
-      for (int i = 0; i < 5; ++i) writer.Commit(SmallFrame(i));
+      SeriesWriter writer(file, FullHeader());
+      for (int i = 0; i < 5; ++i) writer.Commit(FullFrame(i));
     }
     const fs::path journal = file.string() + ".parts/journal";
     const auto size = static_cast<std::int64_t>(fs::file_size(journal));
@@ -223,7 +190,7 @@ TEST(Series, RecoversUpToTheFirstDamagedByte) {
     EXPECT_GT(recovered.bytes_dropped, 0);
     const SeriesReader reader(file);
     for (std::int64_t i = 0; i < recovered.frames; ++i) {
-      ExpectSameFrame(SmallFrame(i), reader.Frame(i));
+      ExpectSameFrame(FullFrame(i), reader.Frame(i));
     }
   }
 }
@@ -321,11 +288,15 @@ with copy('newer.h5') as f: f.attrs['format_version'] = 99
 
 TEST(Series, SurvivesGarbledAndTruncatedFiles) {
   const fs::path folder = TestFolder();
-  WriteSmallSeries(folder / "good.h5", 2);
+  {
+    SeriesWriter writer(folder / "good.h5", FullHeader());
+    for (int i = 0; i < 2; ++i) writer.Commit(FullFrame(i));
+    writer.Close();
+  }
   std::ifstream in(folder / "good.h5", std::ios::binary);
   const std::string whole{std::istreambuf_iterator<char>(in), {}};
   std::mt19937 rng(4);
-  for (int k = 0; k < 150; ++k) {
+  for (int k = 0; k < 300; ++k) {
     std::string bytes = whole;
     if (k % 3 == 0) {
       bytes.resize(rng() % bytes.size());
@@ -337,6 +308,7 @@ TEST(Series, SurvivesGarbledAndTruncatedFiles) {
     try {
       const SeriesReader reader(file);
       reader.rig();
+      reader.channels();
       for (std::int64_t i = 0; i < std::min<std::int64_t>(reader.frame_count(), 3); ++i) {
         reader.Frame(i);
       }
@@ -348,12 +320,12 @@ TEST(Series, SurvivesGarbledAndTruncatedFiles) {
 // Every dataset, walked by another reader: units, long_name, an axis on every dimension, fills.
 TEST(Series, H5pyReadsEveryDatasetWithUnitsAndScales) {
   const fs::path file = TestFolder() / "run.h5";
-  SeriesHeader header = SmallHeader();
+  SeriesHeader header = FullHeader();
   header.rig_extras.arrays = {
       {"board/point_id", "1", "number of the point", {2}, {0, 1}, {}},
       {"board/points", "mm", "target points", {2, 3}, {0, 0, 0, 10, 0, 1}, {"board/point_id"}}};
   SeriesWriter writer(file, header);
-  for (int i = 0; i < 3; ++i) writer.Commit(SmallFrame(i));
+  for (int i = 0; i < 3; ++i) writer.Commit(FullFrame(i));
   writer.Close();
   const auto read = testing::RunPython(R"py(
 import sys, h5py, numpy as np
@@ -373,8 +345,8 @@ def visit(name, o):
         assert len(o.dims[d]) > 0, (name, d)
         assert o.dims[d][0].shape == (o.shape[d],), (name, d)
 f.visititems(visit)
-assert count > 40, count
-for g in ('surface', 'grid', 'frames', 'ground'):
+assert count > 130, count
+for g in ('surface', 'grid', 'frames', 'ground', 'displacement', 'strain', 'wheel', 'patch', 'slip', 'channels/Fz'):
     assert f[g].attrs['NX_class'] == 'NXdata'
     signal = f[g][f[g].attrs['signal']]
     for d, axis in enumerate(np.atleast_1d(f[g].attrs['axes'])): assert f[g][axis].shape == (signal.shape[d],)
@@ -388,7 +360,35 @@ for i in range(3):
     assert np.array_equal(np.isnan(p[i, ..., 0]), ~ok) and np.array_equal(s[i] == 0, ok)
     np.testing.assert_allclose(p[i][ok][:, 1], 2 * (i + .1 * k[ok]), rtol=1e-6)
 np.testing.assert_allclose(f['surface/position_errors'][:], np.hypot(f['surface/position_errors_random'][:], f['surface/position_errors_calibration'][:]), rtol=1e-6)
-assert f['surface'].attrs['frame'] == 'ground'
+for n in ('surface/position', 'displacement/value', 'strain/green_lagrange', 'slip/velocity', 'ground/offset', 'ground/angles_rad',
+          'wheel/axis', 'wheel/centre', 'wheel/radius', 'wheel/angle_rad', 'wheel/speed', 'patch/area_mm2', 'patch/length_mm',
+          'patch/width_mm', 'patch/centroid', 'slip/ratio', 'slip/angle_rad'):
+    v, a, b, e = (f[n + x][:] for x in ('', '_errors_random', '_errors_calibration', '_errors'))
+    assert v.shape == a.shape == b.shape == e.shape, n
+    np.testing.assert_allclose(e, np.hypot(a, b), rtol=1e-6)
+    assert np.isfinite(e).any() == (n != 'wheel/speed'), n
+for g in ('surface', 'displacement', 'slip'): assert f[g].attrs['frame'] == 'ground'
+assert f['grid'].attrs['points'] == 'material' and f['displacement'].attrs['reference'] == 'frame 10'
+E, a = f['strain/green_lagrange'], f['strain'].attrs
+assert (a['measure'], a['strain_axes'], a['vsg_px'], a['vsg_mm']) == ('green_lagrange', 'material', 27, 5.5)
+assert f['slip'].attrs['convention'] == 'ISO 8855'
+assert list(f['strain/component'].asstr()) == ['xx', 'yy', 'xy']
+xx, yy, xy = E[2, 4, 4]
+w, V = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
+np.testing.assert_allclose(f['strain/principal'][2, 4, 4], w[::-1], rtol=1e-5)
+angle = f['strain/angle'][2, 4, 4]
+np.testing.assert_allclose(abs(V[:, 1] @ [np.cos(angle), np.sin(angle)]), 1, rtol=1e-6)
+assert np.isnan(f['displacement/value'][2, 0, 1]).all() and s[2, 0, 1] == 0
+assert f['displacement/value'].chunks == (1, 5, 7, 3) and np.isnan(f['displacement/value'].fillvalue)
+first, n = f['patch/contour_first'][:], f['patch/contour_count'][:]
+assert list(n) == [3, 0, 5] and list(first) == [0, 3, 3] and f['patch/contour'].shape == (8, 2)
+assert list(f['patch/contour_frame']) == [10] * 3 + [12] * 5
+np.testing.assert_array_equal(f['patch/contour'][first[2]:first[2] + n[2]], [[2, k] for k in range(5)])
+assert list(f['patch/status']) == [0, 1, 0] and f['patch/problem'].asstr()[1] == 'the wheel is in the air'
+assert list(f['slip/status']) == [0, 1, 0] and np.isfinite(f['slip/velocity'][1, 0, 0]).all()
+assert f['wheel/axis_covariance_random'].shape == (3, 3, 3)
+z = f['channels/Fz/value']
+assert z.attrs['units'] == 'N' and list(z) == [1, 2, 3, 4] and z.dims[0][0] == f['channels/Fz/time_s']
 assert f['ground/ground_from_rig'].shape == (3, 4, 4)
 assert f['frames/left_id'].asstr()[2] == 'left2.png'
 print('walked', count)

@@ -1,0 +1,26 @@
+#pragma once
+
+#include <cstddef>
+#include <filesystem>
+#include <string>
+#include <vector>
+
+#include "io/series_writer.h"
+
+namespace plumbline::internal {
+
+// Throws std::invalid_argument on an attribute that is none of those named in SeriesHeader,
+// InputError on a channel that cannot be stored.
+void CheckSeriesHeader(const SeriesHeader& header);
+
+// Writes header.h5: everything of the series but its frames. Throws hdf5::Error.
+void WriteSeriesHeader(const std::filesystem::path& file, const SeriesHeader& header);
+
+// What the attributes `points` of /grid and `reference` of /displacement may say.
+bool IsGridPoints(const std::string& text);
+bool IsDisplacementReference(const std::string& text);
+
+// Place of the first time that is no number or before the one before it; the size if there is none.
+std::size_t FirstWrongTime(const std::vector<double>& time_s);
+
+}  // namespace plumbline::internal

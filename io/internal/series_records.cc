@@ -1,0 +1,251 @@
+#include "io/internal/series_records.h"
+
+#include <algorithm>
+#include <cmath>
+#include <utility>
+
+namespace plumbline::internal {
+namespace {
+
+using Axes = std::vector<std::string>;
+
+struct Label {
+  std::string name, units, long_name;
+};
+
+Eigen::MatrixXd ToMatrix(double value) { return Eigen::MatrixXd::Constant(1, 1, value); }
+template <int R, int C>
+Eigen::MatrixXd ToMatrix(const Eigen::Matrix<double, R, C>& value) {
+  return value;
+}
+
+void FromMatrix(const Eigen::MatrixXd& matrix, double* value) { *value = matrix(0, 0); }
+template <int R, int C>
+void FromMatrix(const Eigen::MatrixXd& matrix, Eigen::Matrix<double, R, C>* value) {
+  *value = matrix;
+}
+
+// Describes the group that holds one member of SeriesFrame.
+template <typename Record>
+class GroupBuilder {
+ public:
+  GroupBuilder(RecordGroup group, Record SeriesFrame::*record)
+      : group_(std::move(group)), record_(record) {
+    group_.found = [record](const SeriesFrame& frame) { return (frame.*record).found; };
+    group_.problem = [record](const SeriesFrame& frame) { return (frame.*record).problem; };
+    group_.set_found = [record](bool found, std::string problem, SeriesFrame* frame) {
+      (frame->*record).found = found;
+      (frame->*record).problem = std::move(problem);
+    };
+  }
+
+  RecordField& Derived(const Label& label, std::function<Eigen::MatrixXd(const Record&)> get,
+                       const Axes& axes = {}) {
+    RecordField field{label.name, label.units, label.long_name, axes, {}, false, {}, {}};
+    for (const std::string& axis : axes) field.shape.push_back(LengthOf(axis));
+    field.get = [record = record_, get = std::move(get)](const SeriesFrame& frame) {
+      return get(frame.*record);
+    };
+    group_.fields.push_back(std::move(field));
+    return group_.fields.back();
+  }
+
+  template <typename Value>
+  RecordField& Stored(const Label& label, Value Record::*value, const Axes& axes = {}) {
+    RecordField& field = Derived(
+        label, [value](const Record& record) { return ToMatrix(record.*value); }, axes);
+    field.set = [record = record_, value](const Eigen::MatrixXd& matrix, SeriesFrame* frame) {
+      FromMatrix(matrix, &(frame->*record.*value));
+    };
+    return field;
+  }
+
+  // A value with both of its sigmas, and what follows from these.
+  template <typename Value>
+  void Measured(const Label& label, Value Record::*value, Value Record::*sigma_random,
+                Value Record::*sigma_calibration, const Axes& axes = {}, bool needed = false) {
+    Stored(label, value, axes).needed = needed;
+    Stored(RandomOf(label), sigma_random, axes);
+    Stored(CalibrationOf(label), sigma_calibration, axes);
+    Combined(label, axes);
+  }
+
+  // Sigmas that follow from the covariances of the record.
+  void DerivedSigmas(
+      const Label& label, Eigen::Matrix3d Record::*cov_random,
+      Eigen::Matrix3d Record::*cov_calibration,
+      const std::function<Eigen::MatrixXd(const Record&, const Eigen::Matrix3d&)>& sigma,
+      const Axes& axes = {}) {
+    Derived(
+        RandomOf(label), [=](const Record& r) { return sigma(r, r.*cov_random); }, axes);
+    Derived(
+        CalibrationOf(label), [=](const Record& r) { return sigma(r, r.*cov_calibration); }, axes);
+    Combined(label, axes);
+  }
+
+  RecordGroup Take() { return std::move(group_); }
+
+ private:
+  static Label RandomOf(const Label& label) {
+    return {label.name + "_errors_random", label.units, std::string(kRandomSigma)};
+  }
+  static Label CalibrationOf(const Label& label) {
+    return {label.name + "_errors_calibration", label.units, std::string(kCalibrationSigma)};
+  }
+
+  // Of the last two fields.
+  void Combined(const Label& label, const Axes& axes) {
+    const auto a = (group_.fields.end() - 2)->get, b = (group_.fields.end() - 1)->get;
+    RecordField& field =
+        Derived({label.name + "_errors", label.units, std::string(kCombinedSigma)}, {}, axes);
+    field.get = [a, b](const SeriesFrame& frame) -> Eigen::MatrixXd {
+      return (a(frame).array().square() + b(frame).array().square()).sqrt();
+    };
+  }
+
+  Eigen::Index LengthOf(const std::string& axis) const {
+    for (const RecordAxis& named : group_.axes) {
+      if (named.name == axis) return static_cast<Eigen::Index>(named.labels.size());
+    }
+    return std::stol(axis);
+  }
+
+  RecordGroup group_;
+  Record SeriesFrame::*record_;
+};
+
+RecordAxis Components(std::vector<std::string> labels) {
+  return {"component", "component of the vector", std::move(labels)};
+}
+
+double OffsetSigma(const GroundRecord& g, const Eigen::Matrix3d& cov) {
+  // A rotation (a, b) about e1, e2 turns the normal by b e1 - a e2; the plane goes through the
+  // centroid, so the offset at the origin moves by that times the centroid, and by the offset's
+  // own.
+  const Eigen::Vector3d c = g.centroid_in_rig_mm;
+  const Eigen::RowVector3d J(-g.e2_in_rig.dot(c), g.e1_in_rig.dot(c), 1);
+  return std::sqrt((J * cov * J.transpose()).value());
+}
+
+RecordGroup GroundGroup() {
+  using G = GroundRecord;
+  RecordGroup group{"/ground", "ground plane", "offset", nullptr, {}, {}, {}, {}, {}};
+  group.axes = {Components({"x", "y", "z"}),
+                {"plane_parameter",
+                 "parameter of the plane",
+                 {"rotation_about_e1_rad", "rotation_about_e2_rad", "offset_at_centroid_mm"}},
+                {"angle",
+                 "tilt about the rig's x axis, tilt about its y axis, angle to the optical axis",
+                 {"tilt_x", "tilt_y", "inclination"}}};
+  const Axes xyz = {"component"}, matrix = {"plane_parameter", "plane_parameter"};
+  GroupBuilder<G> add(std::move(group), &SeriesFrame::ground);
+  const Label offset = {"offset", "mm",
+                        "distance of the plane from the rig's origin along its normal"};
+  add.Stored(offset, &G::offset_mm).needed = true;
+  add.DerivedSigmas(
+      offset, &G::cov_random, &G::cov_calibration,
+      [](const G& g, const Eigen::Matrix3d& cov) { return ToMatrix(OffsetSigma(g, cov)); });
+  add.Stored({"normal", "1", "unit normal of the plane, towards the rig, in the rig frame"},
+             &G::normal_in_rig, xyz)
+      .needed = true;
+  const std::string order =
+      " covariance of (rotation about e1 and e2 in rad, offset at the "
+      "centroid in mm)";
+  add.Stored({"covariance_random", "1", "random" + order}, &G::cov_random, matrix);
+  add.Stored({"covariance_calibration", "1", "calibration" + order}, &G::cov_calibration, matrix);
+  add.Stored({"e1", "1", "first axis of the covariances, in the rig frame"}, &G::e1_in_rig, xyz);
+  add.Stored({"e2", "1", "second axis of the covariances, in the rig frame"}, &G::e2_in_rig, xyz);
+  add.Stored({"centroid", "mm", "where the covariances' offset is meant, in the rig frame"},
+             &G::centroid_in_rig_mm, xyz);
+  RecordField& motion = add.Derived(
+      {"ground_from_rig", "mm",
+       "rigid motion from the rig to the ground frame: rotation (without unit), translation in mm"},
+      [](const G& g) { return g.ground_from_rig.Matrix(); }, {"4", "4"});
+  motion.needed = true;
+  motion.set = [](const Eigen::MatrixXd& m, SeriesFrame* frame) {
+    frame->ground.ground_from_rig = {m.topLeftCorner<3, 3>(), m.topRightCorner<3, 1>()};
+  };
+  const Label angles = {"angles_rad", "rad", "how the rig stands over the ground"};
+  add.Derived(angles, [](const G& g) { return AnglesOf(g).angle_rad; }, {"angle"});
+  add.DerivedSigmas(angles, &G::cov_random, &G::cov_calibration,
+                    [](G g, const Eigen::Matrix3d& cov) {
+                      g.cov_random = cov;
+                      return AnglesOf(g).sigma_random_rad;
+                    },
+                    {"angle"});
+  add.Stored({"rms", "mm", "rms distance of the inliers from the plane"}, &G::rms_mm);
+  add.Stored({"inlier_fraction", "1", "share of the points that lie on the plane"},
+             &G::inlier_fraction);
+  return add.Take();
+}
+
+RecordGroup WheelGroup() {
+  using W = WheelRecord;
+  RecordGroup group{"/wheel", "wheel", "angle_rad", &SeriesContents::wheel, {}, {}, {}, {}, {}};
+  group.axes = {Components({"x", "y", "z"})};
+  const Axes xyz = {"component"}, matrix = {"component", "component"};
+  GroupBuilder<W> add(std::move(group), &SeriesFrame::wheel);
+  add.Measured({"angle_rad", "rad", "angle that the wheel has turned about its axis"},
+               &W::angle_rad, &W::sigma_random_angle_rad, &W::sigma_calibration_angle_rad);
+  add.Measured({"speed", "rad/s", "angular speed about the axis"}, &W::speed_rad_s,
+               &W::sigma_random_speed_rad_s, &W::sigma_calibration_speed_rad_s);
+  const Label axis = {"axis", "1", "unit vector along the axis, in the ground frame"};
+  add.Stored(axis, &W::axis, xyz).needed = true;
+  add.DerivedSigmas(
+      axis, &W::cov_axis_random, &W::cov_axis_calibration,
+      [](const W&, const Eigen::Matrix3d& cov) -> Eigen::MatrixXd {
+        return cov.diagonal().cwiseSqrt();
+      },
+      xyz);
+  add.Stored({"axis_covariance_random", "1", "random covariance of the axis"}, &W::cov_axis_random,
+             matrix);
+  add.Stored({"axis_covariance_calibration", "1", "calibration covariance of the axis"},
+             &W::cov_axis_calibration, matrix);
+  add.Measured({"centre", "mm", "centre of the wheel, in the ground frame"}, &W::centre_mm,
+               &W::sigma_random_centre_mm, &W::sigma_calibration_centre_mm, xyz, true);
+  add.Measured({"radius", "mm", "radius of the wheel"}, &W::radius_mm, &W::sigma_random_radius_mm,
+               &W::sigma_calibration_radius_mm);
+  return add.Take();
+}
+
+RecordGroup PatchGroup() {
+  using P = PatchRecord;
+  RecordGroup group{"/patch", "contact patch", "area_mm2", &SeriesContents::patch, {}, {}, {}, {},
+                    {}};
+  group.axes = {Components({"x", "y"})};
+  GroupBuilder<P> add(std::move(group), &SeriesFrame::patch);
+  add.Measured({"area_mm2", "mm2", "area of the contact patch"}, &P::area_mm2,
+               &P::sigma_random_area_mm2, &P::sigma_calibration_area_mm2, {}, true);
+  add.Measured({"length_mm", "mm", "length along the direction of travel (x of the ground frame)"},
+               &P::length_mm, &P::sigma_random_length_mm, &P::sigma_calibration_length_mm);
+  add.Measured({"width_mm", "mm", "width across the direction of travel (y of the ground frame)"},
+               &P::width_mm, &P::sigma_random_width_mm, &P::sigma_calibration_width_mm);
+  add.Measured({"centroid", "mm", "centroid of the contact patch, in the ground frame"},
+               &P::centroid_mm, &P::sigma_random_centroid_mm, &P::sigma_calibration_centroid_mm,
+               {"component"});
+  add.Stored({"threshold_mm", "mm", "height that decides what is in contact"}, &P::threshold_mm);
+  add.Stored({"d_area_d_threshold_mm", "mm", "change of the area (mm2) with the threshold (mm)"},
+             &P::d_area_d_threshold_mm);
+  return add.Take();
+}
+
+RecordGroup SlipGroup() {
+  using S = SlipRecord;
+  RecordGroup group{"/slip", "wheel slip", "", &SeriesContents::slip, {}, {}, {}, {}, {}};
+  GroupBuilder<S> add(std::move(group), &SeriesFrame::slip);
+  add.Measured({"ratio", "1", "longitudinal slip ratio, by the group's convention"}, &S::ratio,
+               &S::sigma_random_ratio, &S::sigma_calibration_ratio, {}, true);
+  add.Measured({"angle_rad", "rad", "slip angle, by the group's convention"}, &S::angle_rad,
+               &S::sigma_random_angle_rad, &S::sigma_calibration_angle_rad);
+  return add.Take();
+}
+
+}  // namespace
+
+const std::vector<RecordGroup>& RecordGroups() {
+  static const std::vector<RecordGroup> groups = {GroundGroup(), WheelGroup(), PatchGroup(),
+                                                  SlipGroup()};
+  return groups;
+}
+
+}  // namespace plumbline::internal

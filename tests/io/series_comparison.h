@@ -1,0 +1,141 @@
+#pragma once
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstring>
+
+#include "io/series_writer.h"
+
+namespace plumbline::testing {
+
+template <typename Element>
+void ExpectSameBits(const Image<Element>& a, const Image<Element>& b) {
+  ASSERT_EQ(a.size(), b.size());
+  if (a.empty()) return;  // nothing there: memcmp may not be given null
+  EXPECT_EQ(std::memcmp(a.data(), b.data(), a.pixel_count() * sizeof(Element)), 0);
+}
+
+// Equal, or both no number: NaN patterns may differ.
+inline void ExpectSame(double a, double b) {
+  if (std::isnan(a) && std::isnan(b)) return;
+  EXPECT_EQ(a, b);
+}
+template <typename A, typename B>
+void ExpectSame(const Eigen::MatrixBase<A>& a, const Eigen::MatrixBase<B>& b) {
+  for (Eigen::Index i = 0; i < a.size(); ++i) {
+    ExpectSame(static_cast<double>(a.derived().data()[i]),
+               static_cast<double>(b.derived().data()[i]));
+  }
+}
+inline void ExpectSame(const Image<Eigen::Vector3f>& a, const Image<Eigen::Vector3f>& b) {
+  ASSERT_EQ(a.size(), b.size());
+  for (std::size_t i = 0; i < a.pixel_count(); ++i) ExpectSame(a.data()[i], b.data()[i]);
+}
+
+inline void ExpectSameGround(const GroundRecord& a, const GroundRecord& b) {
+  EXPECT_EQ(a.found, b.found);
+  EXPECT_EQ(a.problem, b.problem);
+  if (!a.found) return;
+  EXPECT_EQ(a.normal_in_rig, b.normal_in_rig);
+  EXPECT_EQ(a.offset_mm, b.offset_mm);
+  EXPECT_EQ(a.cov_random, b.cov_random);
+  EXPECT_EQ(a.cov_calibration, b.cov_calibration);
+  EXPECT_EQ(a.ground_from_rig.Matrix(), b.ground_from_rig.Matrix());
+  EXPECT_EQ(a.rms_mm, b.rms_mm);
+  EXPECT_EQ(a.inlier_fraction, b.inlier_fraction);
+  EXPECT_EQ(a.e1_in_rig, b.e1_in_rig);
+  EXPECT_EQ(a.e2_in_rig, b.e2_in_rig);
+  EXPECT_EQ(a.centroid_in_rig_mm, b.centroid_in_rig_mm);
+}
+
+inline void ExpectSameWheel(const WheelRecord& a, const WheelRecord& b) {
+  EXPECT_EQ(a.found, b.found);
+  EXPECT_EQ(a.problem, b.problem);
+  ExpectSame(a.axis, b.axis);
+  ExpectSame(a.centre_mm, b.centre_mm);
+  ExpectSame(a.radius_mm, b.radius_mm);
+  ExpectSame(a.angle_rad, b.angle_rad);
+  ExpectSame(a.speed_rad_s, b.speed_rad_s);
+  ExpectSame(a.cov_axis_random, b.cov_axis_random);
+  ExpectSame(a.cov_axis_calibration, b.cov_axis_calibration);
+  ExpectSame(a.sigma_random_centre_mm, b.sigma_random_centre_mm);
+  ExpectSame(a.sigma_calibration_centre_mm, b.sigma_calibration_centre_mm);
+  ExpectSame(a.sigma_random_radius_mm, b.sigma_random_radius_mm);
+  ExpectSame(a.sigma_calibration_radius_mm, b.sigma_calibration_radius_mm);
+  ExpectSame(a.sigma_random_angle_rad, b.sigma_random_angle_rad);
+  ExpectSame(a.sigma_calibration_angle_rad, b.sigma_calibration_angle_rad);
+  ExpectSame(a.sigma_random_speed_rad_s, b.sigma_random_speed_rad_s);
+  ExpectSame(a.sigma_calibration_speed_rad_s, b.sigma_calibration_speed_rad_s);
+}
+
+inline void ExpectSamePatch(const PatchRecord& a, const PatchRecord& b) {
+  EXPECT_EQ(a.found, b.found);
+  EXPECT_EQ(a.problem, b.problem);
+  ExpectSame(a.area_mm2, b.area_mm2);
+  ExpectSame(a.length_mm, b.length_mm);
+  ExpectSame(a.width_mm, b.width_mm);
+  ExpectSame(a.centroid_mm, b.centroid_mm);
+  ExpectSame(a.sigma_random_area_mm2, b.sigma_random_area_mm2);
+  ExpectSame(a.sigma_calibration_area_mm2, b.sigma_calibration_area_mm2);
+  ExpectSame(a.sigma_random_length_mm, b.sigma_random_length_mm);
+  ExpectSame(a.sigma_calibration_length_mm, b.sigma_calibration_length_mm);
+  ExpectSame(a.sigma_random_width_mm, b.sigma_random_width_mm);
+  ExpectSame(a.sigma_calibration_width_mm, b.sigma_calibration_width_mm);
+  ExpectSame(a.sigma_random_centroid_mm, b.sigma_random_centroid_mm);
+  ExpectSame(a.sigma_calibration_centroid_mm, b.sigma_calibration_centroid_mm);
+  ExpectSame(a.threshold_mm, b.threshold_mm);
+  ExpectSame(a.d_area_d_threshold_mm, b.d_area_d_threshold_mm);
+  EXPECT_EQ(a.contour_mm, b.contour_mm);
+}
+
+inline void ExpectSameSlip(const SlipRecord& a, const SlipRecord& b) {
+  EXPECT_EQ(a.found, b.found);
+  EXPECT_EQ(a.problem, b.problem);
+  ExpectSame(a.ratio, b.ratio);
+  ExpectSame(a.angle_rad, b.angle_rad);
+  ExpectSame(a.sigma_random_ratio, b.sigma_random_ratio);
+  ExpectSame(a.sigma_calibration_ratio, b.sigma_calibration_ratio);
+  ExpectSame(a.sigma_random_angle_rad, b.sigma_random_angle_rad);
+  ExpectSame(a.sigma_calibration_angle_rad, b.sigma_calibration_angle_rad);
+  ExpectSame(a.velocity_mm_s, b.velocity_mm_s);
+  ExpectSame(a.sigma_random_mm_s, b.sigma_random_mm_s);
+  ExpectSame(a.sigma_calibration_mm_s, b.sigma_calibration_mm_s);
+}
+
+// That b is what a reads back as: points without a value are NaN in all.
+inline void ExpectSameFrame(const SeriesFrame& a, const SeriesFrame& b) {
+  EXPECT_EQ(a.index, b.index);
+  EXPECT_EQ(a.time_s, b.time_s);
+  EXPECT_EQ(a.left_id, b.left_id);
+  EXPECT_EQ(a.right_id, b.right_id);
+  EXPECT_EQ(a.problem, b.problem);
+  EXPECT_EQ(a.dropped_before, b.dropped_before);
+  EXPECT_EQ(a.surface.frame, b.surface.frame);
+  ExpectSameBits(a.surface.status, b.surface.status);
+  ASSERT_EQ(a.surface.position_mm.size(), b.surface.position_mm.size());
+  for (std::size_t i = 0; i < a.surface.status.pixel_count(); ++i) {
+    if (a.surface.status.data()[i] != Status::kOk) {
+      EXPECT_TRUE(b.surface.position_mm.data()[i].array().isNaN().all());
+      EXPECT_TRUE(b.surface.sigma_random_mm.data()[i].array().isNaN().all());
+      continue;
+    }
+    EXPECT_EQ(a.surface.position_mm.data()[i], b.surface.position_mm.data()[i]);
+    EXPECT_EQ(a.surface.sigma_random_mm.data()[i], b.surface.sigma_random_mm.data()[i]);
+    EXPECT_EQ(a.surface.sigma_calibration_mm.data()[i], b.surface.sigma_calibration_mm.data()[i]);
+    EXPECT_EQ(a.surface.correlation.data()[i], b.surface.correlation.data()[i]);
+    EXPECT_EQ(a.surface.epipolar_px.data()[i], b.surface.epipolar_px.data()[i]);
+  }
+  ExpectSame(a.displacement.value_mm, b.displacement.value_mm);
+  ExpectSame(a.displacement.sigma_random_mm, b.displacement.sigma_random_mm);
+  ExpectSame(a.displacement.sigma_calibration_mm, b.displacement.sigma_calibration_mm);
+  ExpectSame(a.strain.green_lagrange, b.strain.green_lagrange);
+  ExpectSame(a.strain.sigma_random, b.strain.sigma_random);
+  ExpectSame(a.strain.sigma_calibration, b.strain.sigma_calibration);
+  ExpectSameGround(a.ground, b.ground);
+  ExpectSameWheel(a.wheel, b.wheel);
+  ExpectSamePatch(a.patch, b.patch);
+  ExpectSameSlip(a.slip, b.slip);
+}
+
+}  // namespace plumbline::testing

@@ -1,0 +1,208 @@
+// The optional groups of a series: what is written, refused, and left out.
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include "calib/error.h"
+#include "io/inspect.h"
+#include "io/series_reader.h"
+#include "io/series_writer.h"
+#include "tests/io/series_comparison.h"
+#include "tests/io/series_fixture.h"
+#include "tests/support/shared_data.h"
+
+namespace plumbline {
+namespace {
+namespace fs = std::filesystem;
+using ::testing::ElementsAre;
+using testing::FullFrame;
+using testing::FullHeader;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using testing::SmallFrame;
+using testing::SmallHeader;
+using testing::TestFolder;
+
+SeriesFrame FrameWithoutSurface() {
+  SeriesFrame frame;
+  frame.problem = "left1.png is truncated";
+  frame.wheel.problem = frame.patch.problem = frame.slip.problem = "no surface";
+  return frame;
+}
+
+void Write(const fs::path& file, const SeriesHeader& header,
+           const std::vector<SeriesFrame>& frames) {
+  SeriesWriter writer(file, header);
+  for (const SeriesFrame& frame : frames) writer.Commit(frame);
+  writer.Close();
+}
+
+TEST(SeriesGroups, ReadBackWhatWasWritten) {
+  const fs::path file = TestFolder() / "run.h5";
+  const std::vector<SeriesFrame> frames = {FullFrame(0), FrameWithoutSurface(), FullFrame(1),
+                                           FullFrame(2)};
+  const SeriesHeader header = FullHeader();
+  Write(file, header, frames);
+  const SeriesReader reader(file);
+  ASSERT_EQ(reader.frame_count(), 4);
+  for (std::size_t i = 0; i < 4; ++i) {
+    testing::ExpectSameFrame(frames[i], reader.Frame(static_cast<std::int64_t>(i)));
+  }
+  EXPECT_EQ(reader.contents(), header.contents);
+  EXPECT_EQ(reader.grid_points(), "material");
+  EXPECT_EQ(reader.displacement_reference(), "frame 10");
+  EXPECT_EQ(reader.strain_measure(), "green_lagrange");
+  EXPECT_EQ(reader.strain_axes(), "material");
+  EXPECT_EQ(reader.vsg_px(), 27);
+  EXPECT_EQ(reader.vsg_mm(), 5.5);
+  EXPECT_EQ(reader.slip_convention(), "ISO 8855");
+  const std::vector<Channel> channels = reader.channels();
+  ASSERT_EQ(channels.size(), 2u);
+  EXPECT_EQ(channels[0].name, "Fz");
+  EXPECT_EQ(channels[0].units, "N");
+  EXPECT_EQ(channels[0].long_name, "vertical force");
+  EXPECT_EQ(channels[0].time_s, header.channels[0].time_s);
+  EXPECT_EQ(channels[0].value, header.channels[0].value);
+  EXPECT_EQ(channels[1].units, "1");  // where there is none
+  EXPECT_THAT(Validate(file), IsEmpty());
+}
+
+TEST(SeriesGroups, AreEachOptional) {
+  const fs::path folder = TestFolder();
+  for (const auto flag :
+       {&SeriesContents::covariance, &SeriesContents::displacement, &SeriesContents::strain,
+        &SeriesContents::wheel, &SeriesContents::patch, &SeriesContents::slip}) {
+    SeriesHeader header = SmallHeader();
+    header.contents.*flag = true;
+    const fs::path file = folder / (Names(header.contents).at(0) + ".h5");
+    Write(file, header, {FullFrame(0)});  // which holds more than is to be written
+    const SeriesReader reader(file);
+    EXPECT_EQ(reader.contents(), header.contents);
+    const SeriesFrame frame = reader.Frame(0);
+    EXPECT_EQ(!frame.displacement.value_mm.empty(), header.contents.displacement);
+    EXPECT_EQ(!frame.slip.velocity_mm_s.empty(), header.contents.slip);
+    EXPECT_EQ(frame.wheel.found, header.contents.wheel);
+    EXPECT_EQ(frame.patch.contour_mm.size(), header.contents.patch ? 3u : 0u);
+    EXPECT_THAT(Validate(file), IsEmpty());
+  }
+}
+
+TEST(SeriesGroups, AnEmptyRunHasThemToo) {
+  const fs::path file = TestFolder() / "run.h5";
+  Write(file, FullHeader(), {});
+  EXPECT_EQ(SeriesReader(file).contents(), FullHeader().contents);
+  EXPECT_THAT(Validate(file), IsEmpty());
+}
+
+TEST(SeriesGroups, AFrameWithoutAFieldReadsAsNaN) {
+  const fs::path file = TestFolder() / "run.h5";
+  Write(file, FullHeader({700, 401}), {FullFrame(0, {700, 401}), [] {
+                                         SeriesFrame frame = FullFrame(1, {700, 401});
+                                         frame.displacement = {};
+                                         return frame;
+                                       }()});
+  const SeriesReader reader(file);
+  testing::ExpectSameFrame(FullFrame(0, {700, 401}), reader.Frame(0));
+  const SeriesFrame frame = reader.Frame(1);
+  ASSERT_EQ(frame.displacement.value_mm.size(), (ImageSize{700, 401}));
+  for (const Eigen::Vector3f& u : frame.displacement.value_mm.values()) {
+    ASSERT_TRUE(u.array().isNaN().all());
+  }
+  testing::ExpectSame(FullFrame(1, {700, 401}).strain.green_lagrange, frame.strain.green_lagrange);
+  EXPECT_THAT(Validate(file), IsEmpty());
+}
+
+TEST(SeriesGroups, AValueThatIsNotFiniteIsNaNWithItsSigmas) {
+  const fs::path file = TestFolder() / "run.h5";
+  SeriesFrame frame = FullFrame(0);
+  const float infinity = std::numeric_limits<float>::infinity();
+  frame.displacement.value_mm(0, 0).y() = infinity;
+  frame.strain.sigma_calibration(0, 2).x() = infinity;
+  frame.slip.velocity_mm_s(0, 3) = Eigen::Vector3f(1, 2, 3);  // no surface there
+  frame.wheel.speed_rad_s = infinity;
+  frame.surface.position_mm(0, 4).x() = infinity;
+  Write(file, FullHeader(), {frame});
+  const SeriesFrame back = SeriesReader(file).Frame(0);
+  EXPECT_TRUE(back.displacement.value_mm(0, 0).array().isNaN().all());
+  EXPECT_TRUE(back.displacement.sigma_random_mm(0, 0).array().isNaN().all());
+  EXPECT_TRUE(std::isnan(back.strain.sigma_calibration(0, 2).x()));
+  EXPECT_EQ(back.strain.green_lagrange(0, 2), frame.strain.green_lagrange(0, 2));
+  EXPECT_TRUE(back.slip.velocity_mm_s(0, 3).array().isNaN().all());
+  EXPECT_TRUE(std::isnan(back.wheel.speed_rad_s));
+  EXPECT_EQ(back.surface.status(0, 4), Status::kFailedVerification);
+  EXPECT_TRUE(back.displacement.value_mm(0, 4).array().isNaN().all());
+  EXPECT_THAT(Validate(file), IsEmpty());
+}
+
+TEST(SeriesGroups, RefuseWhatDoesNotFitTheGrid) {
+  SeriesWriter writer(TestFolder() / "run.h5", FullHeader());
+  for (const auto& spoil : std::vector<void (*)(SeriesFrame&)>{
+           [](SeriesFrame& f) { f.displacement.sigma_random_mm = {}; },
+           [](SeriesFrame& f) {
+             f.strain = FullFrame(0, {8, 5}).strain;
+           },
+           [](SeriesFrame& f) { f.slip.sigma_calibration_mm_s = {}; },
+           [](SeriesFrame& f) { f.surface.cov_random_mm2 = {}; }}) {
+    SeriesFrame frame = FullFrame(0);
+    spoil(frame);
+    EXPECT_THROW(writer.Commit(frame), std::invalid_argument);
+  }
+  writer.Commit(FullFrame(0));
+  writer.Close();
+}
+
+TEST(SeriesGroups, RefuseChannelsAndAttributesThatMeanNothing) {
+  const fs::path file = TestFolder() / "run.h5";
+  const auto reason = [&](const std::vector<Channel>& channels) -> std::string {
+    SeriesHeader header = SmallHeader();
+    header.channels = channels;
+    try {
+      SeriesWriter writer(file, header);
+    } catch (const InputError& error) {
+      return error.what();
+    }
+    return "";
+  };
+  EXPECT_THAT(reason({{"F/z", "N", "force", {0}, {1}}}), HasSubstr("'F/z' cannot be stored"));
+  EXPECT_THAT(reason({{"", "N", "force", {0}, {1}}}), HasSubstr("its name"));
+  EXPECT_THAT(reason({{"Fz", "N", "force", {0, 1}, {1}}}), HasSubstr("2 times and 1 values"));
+  EXPECT_THAT(reason({{"Fz", "N", "force", {0, 2, 1}, {1, 1, 1}}}), HasSubstr("time 2 (1 s)"));
+  EXPECT_THAT(reason({{"Fz", "N", "", {0}, {1}}, {"Fz", "N", "", {0}, {1}}}),
+              HasSubstr("another one has that name"));
+  EXPECT_EQ(reason({{"Fz", "N", "", {0, 0, 1}, {1, NAN, 1}}}), "");
+  SeriesHeader header = SmallHeader();
+  header.grid_points = "pixels";
+  EXPECT_THROW(SeriesWriter(file, header), std::invalid_argument);
+  header = SmallHeader();
+  header.displacement_reference = "frame";
+  EXPECT_THROW(SeriesWriter(file, header), std::invalid_argument);
+  EXPECT_FALSE(fs::exists(file.string() + ".parts"));
+}
+
+TEST(SeriesGroups, AreNamedInTheSummary) {
+  const fs::path file = TestFolder() / "run.h5";
+  SeriesHeader header = FullHeader();
+  header.contents.wheel = false;
+  Write(file, header, {FullFrame(0)});
+  EXPECT_THAT(Inspect(file).Text(),
+              HasSubstr("also holds: covariance, displacement, strain, patch, slip, channels (Fz, "
+                        "empty)\n"));
+  Write(TestFolder() / "plain.h5", SmallHeader(), {SmallFrame(0)});
+  EXPECT_THAT(Inspect(TestFolder() / "plain.h5").Text(), ::testing::Not(HasSubstr("also")));
+  EXPECT_THAT(Names(header.contents),
+              ElementsAre("covariance", "displacement", "strain", "patch", "slip"));
+}
+
+TEST(PrincipalStrain, IsThatOfMohrsCircle) {
+  const PrincipalStrain shear = PrincipalOf({0, 0, 0.01f});
+  EXPECT_FLOAT_EQ(shear.strain[0], 0.01f);
+  EXPECT_FLOAT_EQ(shear.strain[1], -0.01f);
+  EXPECT_FLOAT_EQ(shear.angle_rad, static_cast<float>(M_PI / 4));
+  EXPECT_FLOAT_EQ(PrincipalOf({0, 0.02f, 0}).angle_rad, static_cast<float>(M_PI / 2));
+  EXPECT_FLOAT_EQ(PrincipalOf({0, 0.02f, 0}).strain[0], 0.02f);
+  EXPECT_TRUE(std::isnan(PrincipalOf({0.01f, 0.01f, 0}).angle_rad));
+  EXPECT_FLOAT_EQ(PrincipalOf({0.01f, 0.01f, 0}).strain[1], 0.01f);
+}
+
+}  // namespace
+}  // namespace plumbline
