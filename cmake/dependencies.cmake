@@ -2,7 +2,7 @@
 find_package(Threads REQUIRED)
 find_package(Eigen3 3.4 REQUIRED NO_MODULE)
 find_package(Ceres 2.1 REQUIRED)
-find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc imgcodecs calib3d features2d videoio aruco)
+find_package(OpenCV 4.6 REQUIRED COMPONENTS core imgproc imgcodecs calib3d features2d video videoio aruco)
 find_package(PCL 1.13 REQUIRED COMPONENTS common sample_consensus io)
 find_package(TBB REQUIRED)
 find_package(fmt REQUIRED)

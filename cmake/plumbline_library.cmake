@@ -1,6 +1,6 @@
 # plumbline_library(NAME DEPENDS ours... PRIVATE theirs...)
 #
-# One folder, one library: every .cc of the folder and of its internal/. `ours` are folders further left in
+# One folder, one library: every .cc of the folder and of the folders in it. `ours` are folders further left in
 # calib <- match <- fit <- track <- io <- apps; `theirs` stay private, so that a user of the library sees only std and Eigen.
 # Shared libraries, because they carry what they need of theirs: a user links plumbline::io and nothing else.
 function(plumbline_warnings target)
@@ -17,7 +17,7 @@ endfunction()
 
 function(plumbline_library name)
   cmake_parse_arguments(ARG "" "" "DEPENDS;PRIVATE" ${ARGN})
-  file(GLOB sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*.cc ${CMAKE_CURRENT_SOURCE_DIR}/internal/*.cc)
+  file(GLOB_RECURSE sources CONFIGURE_DEPENDS ${CMAKE_CURRENT_SOURCE_DIR}/*.cc)
   list(FILTER sources EXCLUDE REGEX "/main\\.cc$")  # a program's main() is no part of its library
   if(NOT sources)  # a folder whose issue is still to come: a name to link, nothing in it
     add_library(plumbline_${name} INTERFACE)

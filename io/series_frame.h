@@ -147,7 +147,8 @@ struct PatchRecord {
   Eigen::Vector2d sigma_calibration_centroid_mm = Eigen::Vector2d::Constant(kNotMeasured);
   double threshold_mm = kNotMeasured;           // that decides what is in contact
   double d_area_d_threshold_mm = kNotMeasured;  // mm^2 of area a mm of threshold
-  std::vector<Eigen::Vector2d> contour_mm;      // ground x, y; closed, first point not repeated
+  // Ground x, y; closed, first point not repeated. A row of NaN parts several outlines.
+  std::vector<Eigen::Vector2d> contour_mm;
 
   static constexpr double kNotMeasured = GroundRecord::kNotMeasured;
 };

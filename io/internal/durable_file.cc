@@ -56,6 +56,20 @@ void WriteDurably(const fs::path& file, const std::function<void(const fs::path&
   SyncPath(file.parent_path());
 }
 
+void WriteBytes(const fs::path& file, std::span<const char> bytes) {
+  const fs::path temporary = TemporaryName(file);
+  errno = 0;
+  std::ofstream out(temporary, std::ios::binary);
+  out.write(bytes.data(), static_cast<std::streamsize>(bytes.size()));
+  out.close();
+  std::error_code failed;
+  if (out) fs::rename(temporary, file, failed);
+  if (out && !failed) return;
+  const int error_number = failed ? failed.value() : errno;
+  fs::remove(temporary, failed);
+  ThrowSystemError("cannot write", file, error_number);
+}
+
 std::string Sha256(const fs::path& file, const std::function<bool()>& stop) {
   std::ifstream in(file, std::ios::binary);
   const std::unique_ptr<EVP_MD_CTX, decltype(&EVP_MD_CTX_free)> context(EVP_MD_CTX_new(),

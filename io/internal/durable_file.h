@@ -24,6 +24,10 @@ void SyncPath(const std::filesystem::path& path);
 void WriteDurably(const std::filesystem::path& file,
                   const std::function<void(const std::filesystem::path&)>& write);
 
+// Writes a file to a temporary name and renames it, without forcing it to the disk: for what can be
+// made again. Throws EnvironmentError.
+void WriteBytes(const std::filesystem::path& file, std::span<const char> bytes);
+
 // SHA-256 of a file in hexadecimal, "" if it cannot be read or stop() says so.
 std::string Sha256(const std::filesystem::path& file, const std::function<bool()>& stop = {});
 

@@ -10,7 +10,7 @@
 #include <vector>
 
 #include "calib/error.h"
-#include "io/internal/board_ink.h"
+#include "io/virtual_rig/internal/board_ink.h"
 
 namespace plumbline {
 namespace {

@@ -11,7 +11,7 @@
 #include <string>
 
 #include "calib/error.h"
-#include "io/internal/board_view.h"
+#include "io/virtual_rig/internal/board_view.h"
 
 namespace plumbline {
 namespace {

@@ -1,4 +1,4 @@
-#include "io/internal/board_view.h"
+#include "io/virtual_rig/internal/board_view.h"
 
 #include <Eigen/SVD>
 #include <algorithm>
@@ -6,7 +6,7 @@
 #include <limits>
 #include <numbers>
 
-#include "io/internal/board_ink.h"
+#include "io/virtual_rig/internal/board_ink.h"
 
 namespace plumbline::internal {
 namespace {

@@ -1,4 +1,4 @@
-#include "io/internal/board_ink.h"
+#include "io/virtual_rig/internal/board_ink.h"
 
 #include <apriltag/apriltag.h>
 #include <apriltag/tag16h5.h>

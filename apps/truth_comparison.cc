@@ -1,0 +1,100 @@
+#include "apps/truth_comparison.h"
+
+#include <tbb/parallel_for.h>
+
+#include <cmath>
+#include <optional>
+#include <vector>
+
+#include "apps/internal/surface_points.h"
+#include "calib/median.h"
+
+namespace plumbline {
+namespace {
+
+// The points that both sides have, in the frame of the measured positions.
+struct Pairs {
+  std::vector<Eigen::Vector3d> measured, truth;
+  std::vector<Eigen::Vector3d> sigma_random, sigma_calibration;
+  std::int64_t unfounded = 0;
+};
+
+Pairs PairUp(const SeriesFrame& frame, const Image<Eigen::Vector2f>& grid_px,
+             const TrueFrame& truth) {
+  const Surface& surface = frame.surface;
+  const bool in_ground = surface.frame == SurfaceFrame::kGround;
+  const Rigid3 frame_from_rig = in_ground ? frame.ground.ground_from_rig : Rigid3();
+  const Rigid3 rig_from_true_ground = truth.ground_from_rig().Inverse();
+  std::vector<std::optional<Eigen::Vector3d>> found(surface.status.pixel_count());
+  tbb::parallel_for(std::size_t{0}, found.size(), [&](std::size_t i) {
+    if (surface.status.data()[i] != Status::kOk) return;
+    const auto point = truth.UnderLeftPixel(grid_px.data()[i].cast<double>());
+    if (point) found[i] = frame_from_rig * (rig_from_true_ground * point->position_mm);
+  });
+  Pairs pairs;
+  for (std::size_t i = 0; i < found.size(); ++i) {
+    if (surface.status.data()[i] != Status::kOk) continue;
+    if (!found[i]) {
+      ++pairs.unfounded;
+      continue;
+    }
+    pairs.truth.push_back(*found[i]);
+    pairs.measured.emplace_back(surface.position_mm.data()[i].cast<double>());
+    pairs.sigma_random.emplace_back(surface.sigma_random_mm.data()[i].cast<double>());
+    pairs.sigma_calibration.emplace_back(surface.sigma_calibration_mm.data()[i].cast<double>());
+  }
+  return pairs;
+}
+
+void ComparePlanes(const GroundRecord& measured, const TrueFrame& truth, TruthComparison* result) {
+  if (!measured.found) return;
+  GroundRecord exact;
+  exact.normal_in_rig = truth.ground_from_rig().rotation.row(2).transpose();
+  const GroundAngles angles = AnglesOf(measured);
+  result->tilt_error_rad = (angles.angle_rad - AnglesOf(exact).angle_rad).head<2>();
+  for (int k = 0; k < 2; ++k) {
+    const double calibration = angles.sigma_calibration_rad[k];
+    result->sigma_tilt_rad[k] =
+        std::hypot(angles.sigma_random_rad[k], std::isfinite(calibration) ? calibration : 0);
+  }
+}
+
+}  // namespace
+
+TruthComparison CompareWithTruth(const SeriesFrame& measured, const Image<Eigen::Vector2f>& grid_px,
+                                 const TrueFrame& truth) {
+  TruthComparison result;
+  ComparePlanes(measured.ground, truth, &result);
+  if (measured.surface.position_mm.empty()) return result;
+  const Pairs pairs = PairUp(measured, grid_px, truth);
+  result.unfounded = pairs.unfounded;
+  result.points = static_cast<std::int64_t>(pairs.measured.size());
+  if (result.points < 3) return result;
+  const Rigid3 align = internal::BestRigidMotion(pairs.measured, pairs.truth);
+  double distance2 = 0, shape2 = 0, height2 = 0;
+  std::vector<double> random, calibration;
+  std::int64_t within_one = 0, within_two = 0;
+  for (std::size_t i = 0; i < pairs.measured.size(); ++i) {
+    distance2 += (pairs.measured[i] - pairs.truth[i]).squaredNorm();
+    const Eigen::Vector3d error = align * pairs.measured[i] - pairs.truth[i];
+    shape2 += error.squaredNorm();
+    height2 += error.z() * error.z();
+    random.push_back(pairs.sigma_random[i].z());
+    const double common = pairs.sigma_calibration[i].z();
+    if (std::isfinite(common)) calibration.push_back(common);
+    const double sigma = std::hypot(random.back(), std::isfinite(common) ? common : 0);
+    within_one += std::abs(error.z()) <= sigma;
+    within_two += std::abs(error.z()) <= 2 * sigma;
+  }
+  const auto n = static_cast<double>(result.points);
+  result.rms_distance_mm = std::sqrt(distance2 / n);
+  result.rms_shape_mm = std::sqrt(shape2 / n);
+  result.rms_height_mm = std::sqrt(height2 / n);
+  result.median_sigma_random_mm = Median(random);
+  if (!calibration.empty()) result.median_sigma_calibration_mm = Median(calibration);
+  result.within_one_sigma = static_cast<double>(within_one) / n;
+  result.within_two_sigma = static_cast<double>(within_two) / n;
+  return result;
+}
+
+}  // namespace plumbline

@@ -1,0 +1,252 @@
+#include "io/virtual_rig/virtual_rig.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <fstream>
+#include <opencv2/video/tracking.hpp>
+
+#include "calib/error.h"
+#include "io/rig_file.h"
+#include "tests/support/shared_data.h"
+
+namespace plumbline {
+namespace {
+namespace fs = std::filesystem;
+
+// What another program makes of the true positions.
+TEST(VirtualRig, TruePixelsAreMrcalsProjections) {
+  const fs::path folder = testing::TestFolder();
+  Scenario scenario = MakeScenario("tyre-disturbed");
+  const VirtualRig rig(scenario);
+  const auto truth = rig.Truth(7);
+  // A rig file with the relative pose of this very frame: one camera vibrates.
+  StereoRig now = scenario.rig;
+  now.right_from_left = truth->right_from_left();
+  WriteRigFile(folder / "rig.h5", now);
+  std::ofstream out(folder / "points.csv");
+  out.precision(17);
+  int count = 0;
+  for (int y = 0; y < 480; y += 40) {
+    for (int x = 0; x < 640; x += 40) {
+      const auto point = truth->UnderLeftPixel(Eigen::Vector2d(x, y));
+      if (!point) continue;
+      ++count;
+      const Eigen::Vector3d p = truth->ground_from_rig().Inverse() * point->position_mm;
+      out << p.x() << ' ' << p.y() << ' ' << p.z() << ' ' << x << ' ' << y << ' '
+          << point->right_px.x() << ' ' << point->right_px.y() << '\n';
+    }
+  }
+  out.close();
+  ASSERT_GT(count, 180);
+  const auto compared = testing::RunPython(R"py(
+import sys, io, h5py, mrcal, numpy as np
+folder = sys.argv[1]
+table = np.loadtxt(folder + '/points.csv')
+f = h5py.File(folder + '/rig.h5')
+worst = 0
+for side, columns in (('left', slice(3, 5)), ('right', slice(5, 7))):
+    model = mrcal.cameramodel(io.StringIO(f['rig'][side]['cameramodel'].asstr()[()]))
+    p = mrcal.transform_point_Rt(model.extrinsics_Rt_fromref(), table[:, :3] / 1000)
+    q = mrcal.project(p, *model.intrinsics())
+    worst = max(worst, np.abs(q - table[:, columns]).max())
+assert worst < 1e-6, worst
+print('agree')
+)py",
+                                           folder.string());
+  EXPECT_THAT(compared.output, ::testing::HasSubstr("agree"));
+}
+
+cv::Mat Patch(const Image<float>& image, const Eigen::Vector2i& corner, int size) {
+  cv::Mat patch(size, size, CV_32F);
+  for (int r = 0; r < size; ++r) {
+    for (int c = 0; c < size; ++c) {
+      patch.at<float>(r, c) = image(corner.y() + r, corner.x() + c);
+    }
+  }
+  return patch;
+}
+
+// Where OpenCV's ECC finds the middle of a patch of `first` in `second`, started from the nearest
+// whole pixel.
+std::optional<Eigen::Vector2d> FindByEcc(const Image<float>& first, const Image<float>& second,
+                                         const Eigen::Vector2i& middle,
+                                         const Eigen::Vector2d& near) {
+  constexpr int kHalf = 18, kReach = 26;
+  const Eigen::Vector2i whole = near.array().round().cast<int>();
+  const auto inside = [&](const Eigen::Vector2i& p) {
+    return p.x() >= kReach && p.y() >= kReach && p.x() < first.width() - kReach &&
+           p.y() < first.height() - kReach;
+  };
+  if (!inside(middle) || !inside(whole)) return std::nullopt;
+  const cv::Mat reference = Patch(first, middle - Eigen::Vector2i::Constant(kHalf), 2 * kHalf + 1);
+  const cv::Mat search = Patch(second, whole - Eigen::Vector2i::Constant(kReach), 2 * kReach + 1);
+  cv::Mat warp = (cv::Mat_<float>(2, 3) << 1, 0, kReach - kHalf, 0, 1, kReach - kHalf);
+  try {
+    cv::findTransformECC(
+        reference, search, warp, cv::MOTION_AFFINE,
+        cv::TermCriteria(cv::TermCriteria::COUNT | cv::TermCriteria::EPS, 80, 1e-7), cv::noArray(),
+        3);
+  } catch (const cv::Exception&) {
+    return std::nullopt;
+  }
+  const auto at = [&](int row) {
+    return static_cast<double>(warp.at<float>(row, 0) * kHalf + warp.at<float>(row, 1) * kHalf +
+                               warp.at<float>(row, 2)) -
+           kReach;
+  };
+  return Eigen::Vector2d(whole.cast<double>() + Eigen::Vector2d(at(0), at(1)));
+}
+
+// Motion between frames, and between the cameras, by a method that is not ours. ECC interpolates
+// linearly: each patch may be off by some hundredths, which average out over sub-pixel places.
+void ExpectEccAgrees(const Scenario& scenario, Side second_side, int least_patches) {
+  const VirtualRig rig(scenario);
+  const Image<float> first = rig.MeanImage(0, Side::kLeft);
+  const Image<float> second = rig.MeanImage(second_side == Side::kLeft ? 1 : 0, second_side);
+  const auto before = rig.Truth(0), after = rig.Truth(second_side == Side::kLeft ? 1 : 0);
+  Eigen::Vector2d sum(0, 0), squares(0, 0);
+  int count = 0;
+  for (int y = 30; y < first.height() - 30; y += 11) {
+    for (int x = 30; x < first.width() - 30; x += 11) {
+      const auto here = before->UnderLeftPixel(Eigen::Vector2d(x, y));
+      if (!here) continue;
+      const TruePoint there = after->OfMaterial(here->material_mm);
+      const Eigen::Vector2d truth = second_side == Side::kLeft ? there.left_px : there.right_px;
+      if (!truth.allFinite()) continue;
+      const auto found = FindByEcc(first, second, {x, y}, truth);
+      if (!found || (*found - truth).norm() > 0.5) continue;
+      sum += *found - truth;
+      squares += (*found - truth).cwiseAbs2();
+      ++count;
+    }
+  }
+  ASSERT_GT(count, least_patches) << scenario.name;
+  const Eigen::Vector2d mean = sum / count;
+  EXPECT_LT(mean.cwiseAbs().maxCoeff(), 0.005) << scenario.name << ": " << mean.transpose();
+  EXPECT_LT((squares / count).cwiseSqrt().maxCoeff(), 0.06) << scenario.name;
+}
+
+Scenario Quiet(const std::string& name) {
+  Scenario scenario = MakeScenario(name);
+  scenario.exposure_s = 0;
+  return scenario;
+}
+
+TEST(VirtualRig, EccBetweenFramesAgreesWithTheTruth) {
+  for (const char* name : {"stretch", "rigid"}) {
+    Scenario scenario = Quiet(name);
+    if (scenario.name == "rigid") scenario.frames_per_second *= 12;  // smaller steps
+    ExpectEccAgrees(scenario, Side::kLeft, 1500);
+  }
+  Scenario rolling = Quiet("tyre-flat");
+  rolling.frames_per_second = 400;
+  ExpectEccAgrees(rolling, Side::kLeft, 1000);
+}
+
+TEST(VirtualRig, EccBetweenTheCamerasAgreesWithTheTruth) {
+  ExpectEccAgrees(Quiet("tyre-lifted"), Side::kRight, 500);
+}
+
+TEST(VirtualRig, BrightnessFlickersBetweenFrames) {
+  Scenario scenario = Quiet("still");
+  scenario.lighting.flicker = 0.05;
+  scenario.frames = 8;
+  const VirtualRig rig(scenario);
+  std::vector<double> means;
+  for (int i = 0; i < scenario.frames; ++i) {
+    const Image<float> image = rig.MeanImage(i, Side::kLeft);
+    double sum = 0;
+    for (const float grey : image.values()) sum += static_cast<double>(grey);
+    means.push_back(sum / static_cast<double>(image.pixel_count()));
+  }
+  const auto [low, high] = std::minmax_element(means.begin(), means.end());
+  EXPECT_GT(*high / *low, 1.02);
+  EXPECT_LT(*high / *low, 1.4);
+}
+
+TEST(VirtualRig, DisturbancesAreInTheTruth) {
+  const Scenario still = MakeScenario("cleat-lateral-square38");
+  const VirtualRig steady(still), disturbed(MakeScenario("tyre-disturbed"));
+  double largest_pitch = 0, largest_turn = 0;
+  for (int i = 0; i < 12; ++i) {
+    const double t = steady.FrameTime(i);
+    const auto turn = [](const Rigid3& a, const Rigid3& b) {
+      return (a * b.Inverse()).RotationVector().norm();
+    };
+    EXPECT_LT(turn(steady.GroundFromRig(t), steady.GroundFromRig(0)), 1e-12);
+    EXPECT_EQ(turn(steady.RightFromLeft(t), still.rig.right_from_left), 0);
+    largest_pitch =
+        std::max(largest_pitch, turn(disturbed.GroundFromRig(t), steady.GroundFromRig(t)));
+    largest_turn =
+        std::max(largest_turn, turn(disturbed.RightFromLeft(t), still.rig.right_from_left));
+    // The right camera turns about its own centre.
+    EXPECT_LT((disturbed.RightFromLeft(t).Inverse().translation_mm -
+               still.rig.right_from_left.Inverse().translation_mm)
+                  .norm(),
+              1e-9);
+  }
+  EXPECT_GT(largest_pitch, 0.03);  // rad: a few degrees
+  EXPECT_LT(largest_pitch, 0.09);
+  EXPECT_GT(largest_turn, 1e-4);
+}
+
+TEST(VirtualRig, TheRightCameraExposesLaterWhereAsked) {
+  Scenario scenario = Quiet("tyre-flat");
+  scenario.frames = 1;
+  Scenario late = scenario;
+  late.right_delay_s = 2e-3;
+  const VirtualRig a(scenario), b(late);
+  EXPECT_EQ(a.MeanImage(0, Side::kLeft).values(), b.MeanImage(0, Side::kLeft).values());
+  EXPECT_NE(a.MeanImage(0, Side::kRight).values(), b.MeanImage(0, Side::kRight).values());
+}
+
+TEST(VirtualRig, IsAnImageSourceWithoutTheDroppedFrames) {
+  Scenario scenario = MakeScenario("still", RigKind::kWide640);
+  scenario.frames = 5;
+  scenario.dropped = {0, 3};
+  const auto source = OpenVirtualRig(std::make_shared<const VirtualRig>(scenario));
+  EXPECT_EQ(source->DeclaredCount(), 3);
+  std::vector<std::string> names;
+  std::vector<double> times;
+  while (const auto frame = source->Next()) {
+    names.push_back(frame->left_id);
+    times.push_back(frame->time_s);
+    EXPECT_EQ(frame->left.size(), (ImageSize{640, 480}));
+  }
+  EXPECT_THAT(names, ::testing::ElementsAre("left_00001", "left_00002", "left_00004"));
+  EXPECT_NEAR(times[2] - times[1], 0.2, 1e-12);
+  EXPECT_THAT(source->Notes(), ::testing::ElementsAre("2 of 5 frames were dropped"));
+}
+
+TEST(Scenarios, ArePlentyAndAllCanBeMade) {
+  const std::vector<ScenarioEntry> entries = ListScenarios();
+  for (const ScenarioEntry& entry : entries) {
+    EXPECT_NO_THROW(MakeScenario(entry.name).Check()) << entry.name;
+    EXPECT_NO_THROW(VirtualRig(MakeScenario(entry.name, RigKind::kWide1280))) << entry.name;
+    EXPECT_EQ(entry.summary.find('\n'), std::string::npos);
+  }
+  // Every test of the thesis.
+  for (const char* section :
+       {"5.1:", "5.3.1:", "5.3.2:", "5.3.3:", "5.3.4:", "5.3.5:", "5.3.6:", "5.3.7:"}) {
+    EXPECT_TRUE(std::any_of(entries.begin(), entries.end(), [&](const ScenarioEntry& entry) {
+      return entry.summary.rfind(section, 0) == 0;
+    })) << section;
+  }
+}
+
+TEST(Scenarios, RefuseWhatTheyCannotBe) {
+  EXPECT_THROW(MakeScenario("tyre-square"), UsageError);
+  Scenario scenario = MakeScenario("still");
+  scenario.dropped = {99};
+  EXPECT_THROW(VirtualRig{scenario}, UsageError);
+  scenario.dropped = {0, 1, 2, 3, 4, 5, 6, 7, 8, 9};
+  EXPECT_THROW(VirtualRig{scenario}, UsageError);
+  scenario = MakeScenario("still");
+  scenario.exposure_s = 1;
+  EXPECT_THROW(VirtualRig{scenario}, UsageError);
+}
+
+}  // namespace
+}  // namespace plumbline
