@@ -86,9 +86,10 @@ GroundProfile::GroundProfile(std::vector<Obstacle> obstacles, double bending_len
               height,
               0};
     // A flank of slope p is longer than its plan by sqrt(1 + p^2) - 1, close to 0.35 p^2 up to
-    // 45 degrees; the mean of p^2 over SmoothStep is 10 / 7 (height / flank)^2. Around a nut half
-    // of it, as a compromise with the hoop strain that gathering makes.
-    bump.gathered = (bump.across.isZero() ? 0.25 : 0.5) * height * height / bump.flank;
+    // 45 degrees; the mean of p^2 over SmoothStep is 10 / 7 (height / flank)^2. Two thirds of it
+    // are drawn in, the rest is stretch (around a nut, where gathering makes hoop strain, half of
+    // that): otherwise material would be crowded where the tyre hangs free of the flank.
+    bump.gathered = (bump.across.isZero() ? 0.17 : 0.34) * height * height / bump.flank;
     if (obstacle.section == Obstacle::Section::kAngleIron) bump.plateau = kRidge_mm;
     for (const Bump& other : bumps_) {
       const bool bars = !bump.across.isZero() && !other.across.isZero();

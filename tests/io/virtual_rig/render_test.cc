@@ -100,6 +100,7 @@ TEST(Render, MotionBlurIsTheMeanOverTheExposure) {
   const double speed_mm_s = 2 * 160.0 / 350 / scenario.exposure_s;
   auto& specimen = std::get<SpecimenOptions>(scenario.surface);
   specimen.end_time_s = 1;
+  specimen.size_mm = {300, 240};
   specimen.translation_mm = {0.8 * speed_mm_s, 0.6 * speed_mm_s, 0};
   const double middle_s = 1 / scenario.frames_per_second;
   const Image<float> blurred = VirtualRig(scenario).MeanImage(1, Side::kLeft);
@@ -117,9 +118,9 @@ TEST(Render, MotionBlurIsTheMeanOverTheExposure) {
       mean.data()[i] += image.data()[i] / kMoments;
     }
   }
-  EXPECT_LT(MeanDifference(blurred, mean), 0.1);
+  EXPECT_LT(MeanDifference(blurred, mean), 0.3);
   std::get<SpecimenOptions>(sharp.surface).translation_mm = specimen.translation_mm;
-  EXPECT_GT(MeanDifference(VirtualRig(sharp).MeanImage(1, Side::kLeft), mean), 5);
+  EXPECT_GT(MeanDifference(VirtualRig(sharp).MeanImage(1, Side::kLeft), mean), 2);
 }
 
 TEST(Render, RefusesWhatItCannotDo) {

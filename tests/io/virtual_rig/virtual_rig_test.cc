@@ -99,26 +99,39 @@ std::optional<Eigen::Vector2d> FindByEcc(const Image<float>& first, const Image<
   return Eigen::Vector2d(whole.cast<double>() + Eigen::Vector2d(at(0), at(1)));
 }
 
+// Where an affine fit must put the middle of a patch: the mean of the true displacements over it.
+std::optional<Eigen::Vector2d> TrueMiddle(const TrueFrame& before, const TrueFrame& after,
+                                          Side side, const Eigen::Vector2d& middle) {
+  Eigen::Vector2d moved(0, 0);
+  for (int k = 0; k < 25; ++k) {
+    const Eigen::Vector2d from = middle + 7.5 * Eigen::Vector2d(k % 5 - 2, k / 5 - 2);
+    const auto here = before.UnderLeftPixel(from);
+    if (!here) return std::nullopt;
+    const TruePoint there = after.OfMaterial(here->material_mm);
+    moved += ((side == Side::kLeft ? there.left_px : there.right_px) - from) / 25;
+  }
+  if (!moved.allFinite()) return std::nullopt;
+  return middle + moved;
+}
+
 // Motion between frames, and between the cameras, by a method that is not ours. ECC interpolates
 // linearly: each patch may be off by some hundredths, which average out over sub-pixel places.
-void ExpectEccAgrees(const Scenario& scenario, Side second_side, int least_patches) {
+void ExpectEccAgrees(const Scenario& scenario, Side second_side, int step_px, int least_patches) {
   const VirtualRig rig(scenario);
+  const int second_frame = second_side == Side::kLeft ? 1 : 0;
   const Image<float> first = rig.MeanImage(0, Side::kLeft);
-  const Image<float> second = rig.MeanImage(second_side == Side::kLeft ? 1 : 0, second_side);
-  const auto before = rig.Truth(0), after = rig.Truth(second_side == Side::kLeft ? 1 : 0);
+  const Image<float> second = rig.MeanImage(second_frame, second_side);
+  const auto before = rig.Truth(0), after = rig.Truth(second_frame);
   Eigen::Vector2d sum(0, 0), squares(0, 0);
   int count = 0;
-  for (int y = 30; y < first.height() - 30; y += 11) {
-    for (int x = 30; x < first.width() - 30; x += 11) {
-      const auto here = before->UnderLeftPixel(Eigen::Vector2d(x, y));
-      if (!here) continue;
-      const TruePoint there = after->OfMaterial(here->material_mm);
-      const Eigen::Vector2d truth = second_side == Side::kLeft ? there.left_px : there.right_px;
-      if (!truth.allFinite()) continue;
-      const auto found = FindByEcc(first, second, {x, y}, truth);
-      if (!found || (*found - truth).norm() > 0.5) continue;
-      sum += *found - truth;
-      squares += (*found - truth).cwiseAbs2();
+  for (int y = 30; y < first.height() - 30; y += step_px) {
+    for (int x = 30; x < first.width() - 30; x += step_px) {
+      const auto truth = TrueMiddle(*before, *after, second_side, Eigen::Vector2d(x, y));
+      if (!truth) continue;
+      const auto found = FindByEcc(first, second, {x, y}, *truth);
+      if (!found || (*found - *truth).norm() > 0.5) continue;
+      sum += *found - *truth;
+      squares += (*found - *truth).cwiseAbs2();
       ++count;
     }
   }
@@ -135,18 +148,17 @@ Scenario Quiet(const std::string& name) {
 }
 
 TEST(VirtualRig, EccBetweenFramesAgreesWithTheTruth) {
-  for (const char* name : {"stretch", "rigid"}) {
-    Scenario scenario = Quiet(name);
-    if (scenario.name == "rigid") scenario.frames_per_second *= 12;  // smaller steps
-    ExpectEccAgrees(scenario, Side::kLeft, 1500);
-  }
+  ExpectEccAgrees(Quiet("stretch"), Side::kLeft, 29, 700);
+  Scenario turning = Quiet("rigid");
+  turning.frames_per_second *= 12;  // smaller steps
+  ExpectEccAgrees(turning, Side::kLeft, 17, 700);
   Scenario rolling = Quiet("tyre-flat");
   rolling.frames_per_second = 400;
-  ExpectEccAgrees(rolling, Side::kLeft, 1000);
+  ExpectEccAgrees(rolling, Side::kLeft, 16, 500);
 }
 
 TEST(VirtualRig, EccBetweenTheCamerasAgreesWithTheTruth) {
-  ExpectEccAgrees(Quiet("tyre-lifted"), Side::kRight, 500);
+  ExpectEccAgrees(Quiet("tyre-lifted"), Side::kRight, 14, 400);
 }
 
 TEST(VirtualRig, BrightnessFlickersBetweenFrames) {
@@ -176,7 +188,7 @@ TEST(VirtualRig, DisturbancesAreInTheTruth) {
       return (a * b.Inverse()).RotationVector().norm();
     };
     EXPECT_LT(turn(steady.GroundFromRig(t), steady.GroundFromRig(0)), 1e-12);
-    EXPECT_EQ(turn(steady.RightFromLeft(t), still.rig.right_from_left), 0);
+    EXPECT_LT(turn(steady.RightFromLeft(t), still.rig.right_from_left), 1e-15);
     largest_pitch =
         std::max(largest_pitch, turn(disturbed.GroundFromRig(t), steady.GroundFromRig(t)));
     largest_turn =
