@@ -10,7 +10,6 @@ packages=(
   libhdf5-dev libflann-dev libtbb-dev libcli11-dev libtomlplusplus-dev libspdlog-dev libfmt-dev libpugixml-dev libzip-dev
   libpng-dev libjpeg-dev libtiff-dev zlib1g-dev nlohmann-json3-dev libssl-dev
   libgtest-dev libgmock-dev libbenchmark-dev
-  opencv-doc
   python3 python3-numpy python3-h5py python3-mrcal mrcal python3-opencv python3-vtk9
   clang-format clang-tidy
 )
@@ -55,23 +54,7 @@ configure_and_build() {  # build folder, CMake arguments...
   cmake --build "$folder"
 }
 
-# The photographs of Debian's opencv-doc. Slim systems leave documentation out when they install it: then they are unpacked here.
-sample_photographs() {
-  local installed=/usr/share/doc/opencv-doc/examples/data
-  if [ -e "$installed/left01.jpg" ]; then echo "$installed"; return; fi
-  local unpacked=$build/opencv-doc
-  if [ ! -e "$unpacked$installed/left01.jpg" ]; then
-    mkdir -p "$unpacked"
-    (cd "$unpacked" && apt-get download -qq opencv-doc >&2 && dpkg -x opencv-doc_*.deb . && rm opencv-doc_*.deb)
-  fi
-  echo "$unpacked$installed"
-}
-
-demo() {
-  local photographs
-  photographs=$(sample_photographs)
-  "$build/plumbline" demo --photographs "$photographs" -o "$build/demo"
-}
+demo() { "$build/plumbline" demo -o "$build/demo"; }
 
 run_tests() {  # build folder, ctest arguments...
   local folder=$1

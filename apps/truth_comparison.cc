@@ -72,13 +72,14 @@ TruthComparison CompareWithTruth(const SeriesFrame& measured, const Image<Eigen:
   if (result.points < 3) return result;
   const Rigid3 align = internal::BestRigidMotion(pairs.measured, pairs.truth);
   double distance2 = 0, shape2 = 0, height2 = 0;
-  std::vector<double> random, calibration;
+  std::vector<double> height, random, calibration;
   std::int64_t within_one = 0, within_two = 0;
   for (std::size_t i = 0; i < pairs.measured.size(); ++i) {
     distance2 += (pairs.measured[i] - pairs.truth[i]).squaredNorm();
     const Eigen::Vector3d error = align * pairs.measured[i] - pairs.truth[i];
     shape2 += error.squaredNorm();
     height2 += error.z() * error.z();
+    height.push_back(std::abs(error.z()));
     random.push_back(pairs.sigma_random[i].z());
     const double common = pairs.sigma_calibration[i].z();
     if (std::isfinite(common)) calibration.push_back(common);
@@ -90,6 +91,7 @@ TruthComparison CompareWithTruth(const SeriesFrame& measured, const Image<Eigen:
   result.rms_distance_mm = std::sqrt(distance2 / n);
   result.rms_shape_mm = std::sqrt(shape2 / n);
   result.rms_height_mm = std::sqrt(height2 / n);
+  result.median_height_error_mm = Median(height);
   result.median_sigma_random_mm = Median(random);
   if (!calibration.empty()) result.median_sigma_calibration_mm = Median(calibration);
   result.within_one_sigma = static_cast<double>(within_one) / n;

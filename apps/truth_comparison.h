@@ -19,8 +19,9 @@ struct TruthComparison {
   // The same after the rigid motion that brings both together: the shape alone.
   double rms_shape_mm = kNotMeasured;
   // Of that, the part along the z axis of the frame that positions are given in, and what was
-  // claimed for it.
+  // claimed for it. The median tells of the surface, the root mean square of its worst points.
   double rms_height_mm = kNotMeasured;
+  double median_height_error_mm = kNotMeasured;  // absolute
   double median_sigma_random_mm = kNotMeasured;
   double median_sigma_calibration_mm = kNotMeasured;  // NaN: unknown
   // Share of the points whose error along z is within one and two claimed sigmas (both parts).

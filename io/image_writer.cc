@@ -90,6 +90,9 @@ VideoWriter::VideoWriter(const fs::path& file, ImageSize size, double frames_per
     throw UsageError(
         fmt::format("A video is written to a .mkv or .avi file, not to '{}'.", file.string()));
   }
+  if (!(frames_per_second >= 0.1 && frames_per_second <= 1e5)) {
+    throw UsageError("A video has 0.1 to 100000 frames a second; write PNG images instead.");
+  }
   impl_->file = file;
   impl_->size = size;
   const bool opened = impl_->writer.open(

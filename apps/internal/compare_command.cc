@@ -25,6 +25,7 @@ nlohmann::json JsonOf(std::int64_t index, const TruthComparison& c) {
                          {"rms_distance_mm", Number(c.rms_distance_mm)},
                          {"rms_shape_mm", Number(c.rms_shape_mm)},
                          {"rms_height_mm", Number(c.rms_height_mm)},
+                         {"median_height_error_mm", Number(c.median_height_error_mm)},
                          {"median_sigma_random_mm", Number(c.median_sigma_random_mm)},
                          {"median_sigma_calibration_mm", Number(c.median_sigma_calibration_mm)},
                          {"within_one_sigma", Number(c.within_one_sigma)},
@@ -41,10 +42,11 @@ std::string RowOf(std::int64_t index, const TruthComparison& c) {
   if (c.points == 0) {
     row += "  no points";
   } else {
-    row += fmt::format(" {:>9.3f} {:>9.4f} {:>9.4f} {:>9.4f} {:>9.4f} {:>6.1f} % {:>5.1f} %",
-                       c.rms_distance_mm, c.rms_shape_mm, c.rms_height_mm, c.median_sigma_random_mm,
-                       c.median_sigma_calibration_mm, 100 * c.within_one_sigma,
-                       100 * c.within_two_sigma);
+    row +=
+        fmt::format(" {:>9.3f} {:>8.3f} {:>8.3f} {:>8.4f} {:>8.4f} {:>8.4f} {:>6.1f} % {:>5.1f} %",
+                    c.rms_distance_mm, c.rms_shape_mm, c.rms_height_mm, c.median_height_error_mm,
+                    c.median_sigma_random_mm, c.median_sigma_calibration_mm,
+                    100 * c.within_one_sigma, 100 * c.within_two_sigma);
   }
   if (std::isfinite(c.tilt_error_rad[0])) {
     row += fmt::format("  {:>7.4f} +- {:.4f} {:>8.4f} +- {:.4f}", c.tilt_error_rad[0] * kDegrees,
@@ -55,15 +57,21 @@ std::string RowOf(std::int64_t index, const TruthComparison& c) {
 }
 
 constexpr const char* kHead =
-    "frame   points  distance     shape    height   random  calibr.  in 1 s    2 s   tilt about x "
-    "(deg)       about y (deg)\n";
+    "               error, mm                            sigma, mm         points within   tilt "
+    "error "
+    "and sigma, deg\n"
+    "frame   points  distance    shape   height   median   random calibrn.  1 sigma 2 sigma   "
+    "about "
+    "x           about y\n";
 constexpr const char* kLegend =
-    "Root mean squares in mm. distance: from the true points, as measured; shape: the same after "
-    "the "
-    "best rigid\nmotion, since where the rig's own frame lies is not known any better; height: its "
-    "part along z, beside the\nmedian sigma claimed for it (random, calibration) and the share of "
-    "points within one and two of both;\ntilt: of the plane found, less that of the true ground, "
-    "+- one sigma.\n";
+    "distance  rms distance of the measured points from the true ones, as measured\n"
+    "shape     the same after the best rigid motion: where the rig's own frame lies is known no "
+    "better\n"
+    "height    rms of its part along z; median: of its size, which a few wrong points do not "
+    "change\n"
+    "sigma     what was claimed for the height, median: from noise, and from the calibration\n"
+    "within    share of the points whose height is within one and two sigmas (both parts)\n"
+    "tilt      of the plane found against the true ground\n";
 
 class CompareCommand : public Command {
  public:
@@ -86,10 +94,7 @@ class CompareCommand : public Command {
 
   CommandReport Run(const CommonOptions&, const std::string&) override {
     const VirtualRig rig = ReopenVirtualRig(folder_);
-    std::vector<int> recorded;
-    for (int i = 0; i < rig.scenario().frames; ++i) {
-      if (!rig.IsDropped(i)) recorded.push_back(i);
-    }
+    const std::vector<int> recorded = rig.Recorded();
     const SeriesReader run(run_);
     if (run.rig().left.size() != rig.scenario().rig.left.size()) {
       throw InputError(fmt::format("'{}' was not measured from '{}': its images have another size.",

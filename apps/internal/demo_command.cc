@@ -12,14 +12,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
-// The photographs that Debian's opencv-doc brings: a paper chessboard of 9x6 inner corners in front
-// of two small cameras, 13 pairs; 25 mm is the size of the squares that OpenCV's own files beside
-// them state.
-constexpr const char* kPhotographs = "/usr/share/doc/opencv-doc/examples/data";
-constexpr const char* kBoard = "chessboard:9x6:25mm";
-constexpr const char* kMeasuredPair = "03";
-constexpr const char* kBoardRegion =
-    "190,75,410,315";  // of the left image: where that pair shows the board
+constexpr const char* kScenario = "cleat-lateral-square38";
+constexpr const char* kBoard = "charuco:11x8:12mm:9mm:DICT_5X5_100";
 
 // Runs one command as a user would, showing the line first.
 void RunStep(const std::string& title, const std::vector<std::string>& arguments) {
@@ -39,13 +33,10 @@ class DemoCommand : public Command {
  public:
   std::string Name() const override { return "demo"; }
   std::string Summary() const override {
-    return "The whole story on real photographs: calibrate, measure, look at the result.";
+    return "The whole story on the virtual rig: photograph, calibrate, measure, hold against "
+           "truth.";
   }
   void Declare(OptionTable& options) override {
-    options.Add({.name = "photographs",
-                 .help = "folder with left01.jpg ... right14.jpg of Debian's opencv-doc",
-                 .unit = "FOLDER"},
-                &photographs_);
     options.Add(
         {.name = "output", .help = "folder for the results", .unit = "FOLDER", .short_name = "o"},
         &output_);
@@ -53,57 +44,52 @@ class DemoCommand : public Command {
   CommandReport Run(const CommonOptions& common, const std::string& recipe_toml) override;
 
  private:
-  std::string photographs_ = kPhotographs, output_ = "plumbline-demo";
+  std::string output_ = "plumbline-demo";
 };
 
 CommandReport DemoCommand::Run(const CommonOptions& common, const std::string&) {
-  const fs::path photographs = photographs_;
-  if (!fs::exists(photographs / "left01.jpg")) {
-    throw InputError(
-        fmt::format("There is no left01.jpg in '{}'; install Debian's package opencv-doc, or name "
-                    "its photographs with --photographs.",
-                    photographs_));
-  }
   const fs::path output = fs::absolute(output_).lexically_normal();
-  std::error_code error;
-  fs::create_directories(output, error);
-  if (error)
-    throw EnvironmentError(
-        fmt::format("The folder '{}' cannot be made: {}.", output.string(), error.message()));
-  const auto result = [&](const char* name) { return (output / name).string(); };
-  const auto photograph = [&](const std::string& name) {
-    return (photographs / (name + ".jpg")).string();
-  };
+  const auto path = [&](const char* name) { return (output / name).string(); };
   const auto step = [&](const std::string& title, std::vector<std::string> arguments) {
     if (common.quiet) arguments.emplace_back("-q");
     RunStep(title, arguments);
   };
-  step("1. From photographs of a board to a calibrated rig",
-       {"calibrate", "--board", kBoard, "--left", photograph("left[01]?"), "--right",
-        photograph("right[01]?"), "-o", result("rig.h5")});
-  step("2. From a pair of images to a surface with error bars",
-       {"measure", "--rig", result("rig.h5"), "--left",
-        photograph(std::string("left") + kMeasuredPair), "--right",
-        photograph(std::string("right") + kMeasuredPair), "--roi", kBoardRegion, "-o",
-        result("run.h5"), "--overwrite"});
-  step("3. Is the file whole?", {"validate", result("run.h5")});
-  step("4. As points for other programs",
-       {"export", result("run.h5"), "--format", "ply", "-o", result("run.ply")});
+  step(
+      "1. A tyre rolls over a 38 mm bar; two cameras inside it look on, and before that at a board",
+      {"simulate", kScenario, "--calibration", "24", "-o", path("recording"), "--overwrite"});
+  step("2. From the photographs of the board to a calibrated rig",
+       {"calibrate", "--board", kBoard, "--left", path("recording/calibration/left"), "--right",
+        path("recording/calibration/right"), "-o", path("rig.h5")});
+  step("3. From the recording to surfaces with error bars",
+       {"measure", "--rig", path("rig.h5"), "--left", path("recording/left"), "--right",
+        path("recording/right"), "--timestamps", path("recording/timestamps.csv"), "--step", "4",
+        "-o", path("run.h5"), "--overwrite"});
+  step("4. Measured against true", {"compare", path("run.h5"), path("recording")});
+  step("5. Is the file whole?", {"validate", path("run.h5")});
+  step("6. As points for other programs",
+       {"export", path("run.h5"), "--format", "ply", "-o", path("run.ply")});
   CommandReport report;
   report.text = fmt::format(
       "\nThat was the whole story. Everything is in {}:\n"
-      "  rig.h5   the calibrated rig with its error bars; left.cameramodel and right.cameramodel "
-      "are for\n"
-      "           mrcal's tools, rig.yaml is for OpenCV\n"
-      "  run.h5   the surface with its random and its calibration sigmas, and the ground plane.\n"
-      "           In Python: h5py.File('run.h5')['surface/position'][0], and beside it\n"
-      "           position_errors_random and position_errors_calibration\n"
-      "  run.ply  the points, for MeshLab, CloudCompare or ParaView\n"
-      "The scale rests on the board's squares being 25 mm, as OpenCV's own files say; nobody "
-      "measured this sheet.\n",
+      "  recording/  what the cameras saw, left and right; truth.h5, what was there: shape, "
+      "strain,\n"
+      "              contact patch, slip of every frame; channels.csv, what the vehicle logged\n"
+      "  rig.h5      the calibrated rig with its error bars; left.cameramodel and "
+      "right.cameramodel\n"
+      "              are for mrcal's tools, rig.yaml is for OpenCV\n"
+      "  run.h5      the surfaces with their random and their calibration sigmas.\n"
+      "              In Python: h5py.File('run.h5')['surface/position'][0], and beside it\n"
+      "              position_errors_random and position_errors_calibration\n"
+      "  run_0000.ply and so on: the points, for MeshLab, CloudCompare or ParaView\n"
+      "The table of step 4 says how far off it was, and how far off it said it might be. Where the "
+      "bar is under the\ntyre no plane, or not the ground's, is found, and a few points beside "
+      "hidden "
+      "places are matched wrongly.\n",
       output.string());
-  report.json = {
-      {"rig", result("rig.h5")}, {"run", result("run.h5")}, {"points", result("run.ply")}};
+  report.json = {{"recording", path("recording")},
+                 {"rig", path("rig.h5")},
+                 {"run", path("run.h5")},
+                 {"points", path("run.ply")}};
   return report;
 }
 

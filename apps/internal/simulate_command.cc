@@ -99,7 +99,8 @@ CommandReport SimulateCommand::Run(const CommonOptions& common, const std::strin
   report.json["calibration_pairs"] = recording.calibration_pairs;
   report.json["interrupted"] = recording.interrupted;
   if (recording.interrupted) {
-    report.text += "Stopped before the end; what is there is whole.\n";
+    report.text +=
+        "Stopped before the end; what is there is whole. Start again with --overwrite.\n";
     report.exit_code = 130;
   }
   return report;

@@ -8,6 +8,8 @@
 #include <numbers>
 #include <sstream>
 
+#include "apps/internal/measure_report.h"
+#include "apps/rig_input.h"
 #include "calib/error.h"
 
 namespace plumbline::internal {
@@ -25,7 +27,7 @@ std::vector<double> NumbersOf(const std::string& text, const std::string& option
       value = std::stod(item, &used);
     } catch (const std::exception&) {
     }
-    if (used == 0 || used != item.size()) {
+    if (used == 0 || used != item.size() || !std::isfinite(value)) {
       throw UsageError(fmt::format("--{} takes numbers between commas, not '{}'.", option, text));
     }
     numbers.push_back(value);
@@ -77,6 +79,25 @@ void SimulateOptions::DeclareCameras(OptionTable& options) {
                        "laboratory: 25 mm, half a metre away",
                .choices = {"auto", "wide640", "wide1280", "laboratory"}},
               &cameras_);
+  options.Add({.name = "image-size", .help = "another size of image", .unit = "WxH px"},
+              &image_size_);
+  options.Add({.name = "lens", .help = "another focal length", .unit = "mm", .min = 1e-3},
+              &lens_mm_);
+  options.Add({.name = "pixel", .help = "another size of pixel", .unit = "um", .min = 1e-3},
+              &pixel_um_);
+  options.Add({.name = "baseline",
+               .help = "another distance between the cameras",
+               .unit = "mm",
+               .min = 1e-3},
+              &baseline_mm_);
+  options.Add(
+      {.name = "distance", .help = "another distance from the surface", .unit = "mm", .min = 1e-3},
+      &distance_mm_);
+  options.Add(
+      {.name = "rig",
+       .help = "the true cameras from a rig file, as for plumbline measure, instead of these",
+       .unit = "FILE"},
+      &rig_);
   options.Add({.name = "bits", .help = "bits of a grey level", .min = 8, .max = 16}, &bits_);
   options.Add({.name = "gain", .help = "grey levels (of 8 bits) an electron", .min = 1e-6}, &gain_);
   options.Add(
@@ -132,7 +153,8 @@ void SimulateOptions::DeclareCameras(OptionTable& options) {
 }
 
 void SimulateOptions::DeclareTyre(OptionTable& options) {
-  options.Add({.name = "speed", .help = "of the vehicle", .unit = "m/s"}, &speed_m_s_);
+  options.Add({.name = "speed", .help = "of the vehicle", .unit = "m/s", .min = 0, .max = 100},
+              &speed_m_s_);
   options.Add({.name = "speed-swing",
                .help = "amplitude of a change of speed once a second",
                .unit = "m/s"},
@@ -143,11 +165,11 @@ void SimulateOptions::DeclareTyre(OptionTable& options) {
               &start_mm_);
   options.Add({.name = "slip-ratio",
                .help = "longitudinal slip, ISO 8855 (braking: negative)",
-               .min = -0.2,
-               .max = 0.2},
+               .min = -0.1,
+               .max = 0.1},
               &slip_ratio_);
   options.Add(
-      {.name = "slip-angle", .help = "slip angle, ISO 8855", .unit = "deg", .min = -11, .max = 11},
+      {.name = "slip-angle", .help = "slip angle, ISO 8855", .unit = "deg", .min = -7, .max = 7},
       &slip_angle_deg_);
   options.Add({.name = "mounting",
                .help = "how the rig is turned against looking straight down: rotation vector in "
@@ -211,11 +233,37 @@ void SimulateOptions::DeclareCalibration(OptionTable& options) {
               &max_distance_mm_);
 }
 
+Scenario SimulateOptions::OnItsCameras() const {
+  RigDesign design = DesignOf(cameras_ == "wide640"      ? RigKind::kWide640
+                              : cameras_ == "wide1280"   ? RigKind::kWide1280
+                              : cameras_ == "laboratory" ? RigKind::kLaboratory
+                                                         : RigOf(scenario_));
+  const bool designed = lens_mm_ || pixel_um_ || baseline_mm_ || !image_size_.empty();
+  if (!rig_.empty()) {
+    if (designed || cameras_ != "auto") {
+      throw UsageError(
+          "--rig says all of the cameras: leave out --cameras, --image-size, --lens, --pixel and "
+          "--baseline.");
+    }
+    RigInput input = OpenRig(rig_);
+    input.rig.modes = {};  // these cameras are the truth
+    if (!distance_mm_ && !input.working_distance_mm) {
+      throw UsageError(
+          fmt::format("'{}' does not say how far away its cameras look; give --distance.", rig_));
+    }
+    return MakeScenario(scenario_, input.rig,
+                        distance_mm_ ? *distance_mm_ : *input.working_distance_mm);
+  }
+  if (!image_size_.empty()) design.image_size = ParseImageSize(image_size_);
+  Set(lens_mm_, design.lens_mm);
+  Set(pixel_um_, design.pixel_um);
+  Set(baseline_mm_, design.baseline_mm);
+  Set(distance_mm_, design.distance_mm);
+  return MakeScenario(scenario_, MakeRig(design), design.distance_mm);
+}
+
 VirtualRig SimulateOptions::Rig(std::uint64_t seed) const {
-  Scenario scenario = cameras_ == "wide640"      ? MakeScenario(scenario_, RigKind::kWide640)
-                      : cameras_ == "wide1280"   ? MakeScenario(scenario_, RigKind::kWide1280)
-                      : cameras_ == "laboratory" ? MakeScenario(scenario_, RigKind::kLaboratory)
-                                                 : MakeScenario(scenario_);
+  Scenario scenario = OnItsCameras();
   scenario.seed = scenario.speckle.seed = seed;
   ApplyTo(scenario);
   ApplyToTyre(scenario);
@@ -235,8 +283,14 @@ void SimulateOptions::ApplyTo(Scenario& scenario) const {
   if (!dropped_.empty()) {
     scenario.dropped.clear();
     for (const double index : NumbersOf(dropped_, "drop")) {
-      scenario.dropped.push_back(static_cast<int>(std::lround(index)));
+      if (index != std::floor(index) || std::abs(index) > 1e9) {
+        throw UsageError(fmt::format("--drop takes whole numbers, not '{}'.", dropped_));
+      }
+      scenario.dropped.push_back(static_cast<int>(index));
     }
+  } else {
+    // Of a shorter run the scenario's own.
+    std::erase_if(scenario.dropped, [&](int index) { return index >= scenario.frames; });
   }
   Set(bits_, scenario.sensor.bits);
   Set(gain_, scenario.sensor.gain_grey);
@@ -290,9 +344,16 @@ RecordingOptions SimulateOptions::Recording(const Scenario& scenario, std::uint6
   options.channels.clock_offset_s = channel_offset_s_;
   options.channels.noise = scenario.sensor.noise;
   options.channels.seed = seed;
-  if (calibration_pairs_ == 0) return options;
-  const double distance = WorkingDistance_mm(scenario);
-  const bool wide = distance < 300;
+  if (calibration_pairs_ == 0) {
+    if (!board_.empty() || careless_ || white_on_black_ || bend_mm_ != 0 || misprint_mm_ != 0 ||
+        min_distance_mm_ || max_distance_mm_) {
+      throw UsageError(
+          "Options of the board want photographs of it: say how many pairs with --calibration.");
+    }
+    return options;
+  }
+  const double distance = scenario.distance_mm;
+  const bool wide = scenario.rig.left.parameters()[0] < scenario.rig.left.size().width;
   CalibrationPhotographs photographs;
   photographs.board = BoardSpec::Parse(!board_.empty() ? board_
                                        : wide          ? "charuco:11x8:12mm:9mm:DICT_5X5_100"

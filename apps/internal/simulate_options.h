@@ -27,11 +27,14 @@ class SimulateOptions {
   void DeclareCameras(OptionTable& options);
   void DeclareTyre(OptionTable& options);
   void DeclareCalibration(OptionTable& options);
+  Scenario OnItsCameras() const;
   void ApplyTo(Scenario& scenario) const;
   void ApplyToTyre(Scenario& scenario) const;
 
   std::string scenario_;
   std::string cameras_ = "auto", images_ = "png", points_ = "auto", dropped_;
+  std::string rig_, image_size_;
+  std::optional<double> lens_mm_, pixel_um_, baseline_mm_, distance_mm_;
   std::optional<int> frame_count_, samples_, bits_, step_;
   std::optional<double> fps_, exposure_ms_, right_delay_ms_;
   std::optional<double> gain_, read_noise_, psf_, flicker_, vignetting_, ambient_;

@@ -24,6 +24,23 @@ void MakeFolder(const fs::path& folder) {
   if (failed) internal::ThrowSystemError("cannot make the folder", folder, failed.value());
 }
 
+// What an earlier recording left in a folder that is written again.
+void RemoveEarlier(const fs::path& folder) {
+  if (fs::exists(folder / "truth.h5.parts")) {
+    throw InputError(fmt::format(
+        "'{}' holds a recording that was not finished; delete the folder, or choose another with "
+        "-o.",
+        folder.string()));
+  }
+  std::error_code failed;
+  for (const char* name :
+       {"left", "right", "left.mkv", "right.mkv", "left.avi", "right.avi", "calibration",
+        "channels.csv", "timestamps.csv", "truth.h5", "rig.h5", "recipe.toml"}) {
+    fs::remove_all(folder / name, failed);
+    if (failed) internal::ThrowSystemError("cannot remove", folder / name, failed.value());
+  }
+}
+
 void RefuseFullFolder(const fs::path& folder, bool overwrite) {
   if (overwrite || !fs::exists(folder)) return;
   if (fs::is_directory(folder) && fs::is_empty(folder)) return;
@@ -44,9 +61,6 @@ class PairWriter {
       return;
     }
     const char* ending = images == RecordingOptions::Images::kMkv ? ".mkv" : ".avi";
-    if (scenario.sensor.bits > 8) {
-      throw UsageError("Videos hold 8 bits a pixel; write PNG images to keep more.");
-    }
     const ImageSize sizes[] = {scenario.rig.left.size(), scenario.rig.right.size()};
     for (std::size_t k = 0; k < 2; ++k) {
       sides_.push_back(folder / (std::string(k == 0 ? "left" : "right") + ending));
@@ -66,6 +80,12 @@ class PairWriter {
     }
   }
 
+  // As the image sources call it.
+  std::string NameOf(std::size_t side, int frame, int position) const {
+    if (videos_.empty()) return fmt::format("{:05}.png", frame);
+    return fmt::format("{}#{}", sides_[side].filename().string(), position);
+  }
+
   void Close() {
     for (const auto& video : videos_) video->Close();
   }
@@ -77,13 +97,17 @@ class PairWriter {
   std::vector<std::unique_ptr<VideoWriter>> videos_;
 };
 
+void WriteTimestamps(const fs::path& file, const VirtualRig& rig, const std::vector<int>& frames) {
+  std::string times = "frame,time_s\n";
+  for (const int frame : frames) times += fmt::format("{},{:.9f}\n", frame, rig.FrameTime(frame));
+  internal::WriteBytes(file, times);
+}
+
 // False when it was stopped.
 bool WritePhotographs(const VirtualRig& rig, const fs::path& folder,
-                      const CalibrationPhotographs& photographs, const RecordingProgress& progress,
-                      Recording* recording) {
+                      const CalibrationPhotographs& photographs, const std::vector<Rigid3>& poses,
+                      const RecordingProgress& progress, Recording* recording) {
   const Scenario& scenario = rig.scenario();
-  const std::vector<Rigid3> poses =
-      DrawBoardPoses(scenario.rig, photographs.board, photographs.print, photographs.poses);
   PairWriter writer(folder / "calibration", scenario, RecordingOptions::Images::kPng);
   recording->files.push_back(folder / "calibration");
   const int total = static_cast<int>(poses.size());
@@ -126,7 +150,18 @@ StereoFrame TakeBoardPhotographs(const Scenario& scenario,
 Recording WriteRecording(const VirtualRig& rig, const fs::path& folder,
                          const RecordingOptions& options, const RecordingProgress& progress) {
   const Scenario& scenario = rig.scenario();
+  // What can be refused is refused before anything is written.
+  if (options.images != RecordingOptions::Images::kPng && scenario.sensor.bits > 8) {
+    throw UsageError("Videos hold 8 bits a pixel; write PNG images to keep more.");
+  }
+  std::vector<Rigid3> poses;
+  if (options.calibration) {
+    const CalibrationPhotographs& c = *options.calibration;
+    poses = DrawBoardPoses(scenario.rig, c.board, c.print, c.poses);
+  }
+  const std::vector<Channel> channels = LogWheelChannels(rig, options.channels);
   RefuseFullFolder(folder, options.overwrite);
+  if (options.overwrite) RemoveEarlier(folder);
   MakeFolder(folder);
   Recording recording;
   recording.files = {folder / "recipe.toml", folder / "rig.h5"};
@@ -135,34 +170,43 @@ Recording WriteRecording(const VirtualRig& rig, const fs::path& folder,
   extras.recipe_toml = options.recipe_toml;
   WriteRigFile(recording.files[1], scenario.rig, extras);
   if (options.calibration &&
-      !WritePhotographs(rig, folder, *options.calibration, progress, &recording)) {
+      !WritePhotographs(rig, folder, *options.calibration, poses, progress, &recording)) {
     recording.interrupted = true;
     return recording;
   }
-  const std::vector<Channel> channels = LogWheelChannels(rig, options.channels);
   if (!channels.empty()) {
     recording.files.push_back(folder / "channels.csv");
     WriteChannelsCsv(recording.files.back(), channels);
   }
   const TruthSeries truth(rig);
-  SeriesHeader header = truth.Header(channels);
+  const std::vector<int> recorded = rig.Recorded();
+  // The truth's own channels: exact, and on the clock of the frames.
+  ChannelOptions exact = options.channels;
+  exact.noise = false;
+  exact.clock_offset_s = -rig.FrameTime(recorded.front());
+  SeriesHeader header = truth.Header(LogWheelChannels(rig, exact));
   header.recipe_toml = options.recipe_toml;
   const fs::path truth_file = folder / "truth.h5";
   PairWriter images(folder, scenario, options.images);
   SeriesWriter series(truth_file, header);
-  std::string times = "frame,time_s\n";
-  const int total = static_cast<int>(truth.recorded().size());
-  for (const int frame : truth.recorded()) {
+  WriteTimestamps(folder / "timestamps.csv", rig, recorded);
+  const int total = static_cast<int>(recorded.size());
+  for (const int frame : recorded) {
     images.Add(frame, rig.TakeImage(frame, Side::kLeft), rig.TakeImage(frame, Side::kRight));
-    series.Commit(truth.Frame(frame));
-    times += fmt::format("{},{:.9f}\n", frame, rig.FrameTime(frame));
+    SeriesFrame exposed = truth.Frame(frame);
+    exposed.left_id = images.NameOf(0, frame, recording.frames);
+    exposed.right_id = images.NameOf(1, frame, recording.frames);
+    series.Commit(exposed);
     ++recording.frames;
     recording.interrupted = !progress("rendering", recording.frames, total);
     if (recording.interrupted) break;
   }
   images.Close();
   series.Close();
-  internal::WriteBytes(folder / "timestamps.csv", times);
+  if (recording.interrupted) {
+    WriteTimestamps(folder / "timestamps.csv", rig,
+                    {recorded.begin(), recorded.begin() + recording.frames});
+  }
   recording.files.insert(recording.files.end(), images.sides().begin(), images.sides().end());
   recording.files.push_back(folder / "timestamps.csv");
   recording.files.push_back(truth_file);

@@ -50,7 +50,7 @@ using RecordingProgress = std::function<bool(const std::string& stage, int done,
 //   calibration/left calibration/right
 //   rig.h5              the true cameras, without uncertainty
 //   truth.h5            docs/file_format.md
-//   recipe.toml         all settings: the same recipe makes the same files again
+//   recipe.toml         all settings: the same recipe makes the same images again
 //
 // Throws InputError when the folder is there and not empty, EnvironmentError, and what VirtualRig
 // and DrawBoardPoses throw.

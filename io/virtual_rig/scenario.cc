@@ -6,52 +6,16 @@
 #include <cmath>
 #include <functional>
 #include <numbers>
+#include <set>
 
 #include "calib/error.h"
 
 namespace plumbline {
 namespace {
 
+// Motion within one exposure that can be rendered.
+constexpr double kFarthestBlur_mm = 50;
 constexpr double kDegree = std::numbers::pi / 180;
-constexpr double kTyreDistance_mm = 160;
-constexpr double kLaboratoryDistance_mm = 500;
-
-Camera MakeCamera(ImageSize size, double focal_px, const Eigen::Matrix<double, 5, 1>& distortion,
-                  const Eigen::Vector2d& decentring_px) {
-  Eigen::VectorXd p(9);
-  p << focal_px, 1.0007 * focal_px, (size.width - 1) / 2.0 + decentring_px.x(),
-      (size.height - 1) / 2.0 + decentring_px.y(), distortion;
-  return Camera(LensModel{}, size, p);
-}
-
-StereoRig MakeWideRig(ImageSize size, double focal_px) {
-  Eigen::Matrix<double, 5, 1> left, right;
-  left << -0.200, 0.050, 4e-4, -3e-4, -0.002;
-  right << -0.196, 0.048, -2e-4, 5e-4, -0.0015;
-  const double s = focal_px / 350;
-  return {MakeCamera(size, focal_px, left, {2.3 * s, -1.7 * s}),
-          MakeCamera(size, 0.997 * focal_px, right, {-1.9 * s, 2.8 * s}),
-          Rigid3::FromRotationVector({0.004, -0.006, 0.003}, {-40, 0.3, -0.5}),
-          {},
-          ""};
-}
-
-StereoRig MakeLaboratoryRig() {
-  Eigen::Matrix<double, 5, 1> left, right;
-  left << -0.09, 0.15, 2e-4, -1e-4, 0;
-  right << -0.08, 0.12, -1e-4, 2e-4, 0;
-  const double half_angle = std::atan(65.0 / kLaboratoryDistance_mm);
-  // Both cameras are as far from the point that they look at.
-  const double range = std::hypot(65.0, kLaboratoryDistance_mm);
-  const Rigid3 turn = Rigid3::FromRotationVector({0, 2 * half_angle, 0}, {0, 0, 0});
-  const Eigen::Vector3d target(0, 0, range);
-  return {MakeCamera({1280, 1024}, 4700, left, {6.1, -4.2}),
-          MakeCamera({1280, 1024}, 4713, right, {-3.7, 5.5}),
-          {turn.rotation, target - turn.rotation * target},
-          {},
-          ""};
-}
-
 // --- the list
 
 using Adapt = std::function<void(Scenario&)>;
@@ -190,38 +154,10 @@ std::vector<Listed> List() {
   return list;
 }
 
-// About four and a half pixels a disc in the middle of the view: what correlation likes best.
-double SpeckleDiameter_mm(const Scenario& s) {
-  return 4.4 * WorkingDistance_mm(s) / s.rig.left.parameters()[0];
-}
+// A disc is about four and a half pixels wide in the middle of the view: what correlation likes.
+constexpr double kSpeckle_px = 4.4;
 
 }  // namespace
-
-StereoRig MakeRig(RigKind kind) {
-  switch (kind) {
-    case RigKind::kWide640:
-      return MakeWideRig({640, 480}, 350);
-    case RigKind::kWide1280:
-      return MakeWideRig({1280, 1024}, 700);
-    default:
-      return MakeLaboratoryRig();
-  }
-}
-
-Rigid3 MakeRigPose(const StereoRig& rig, double distance_mm) {
-  // Image x along the ground's x, the view along -z; the middle of the two cameras over the origin,
-  // and the rig turned so that both optical axes are as steep.
-  const Rigid3 left_from_right = rig.right_from_left.Inverse();
-  const Eigen::Vector3d between = left_from_right.translation_mm;
-  const Eigen::Vector3d look =
-      (Eigen::Vector3d::UnitZ() + left_from_right.rotation.col(2)).normalized();
-  const Eigen::Vector3d across = (between - look.dot(between) * look).normalized();
-  Eigen::Matrix3d rows;
-  rows.row(0) = across.transpose();
-  rows.row(1) = -look.cross(across).transpose();
-  rows.row(2) = -look.transpose();
-  return {rows, Eigen::Vector3d(0, 0, distance_mm) - rows * (between / 2)};
-}
 
 std::vector<ScenarioEntry> ListScenarios() {
   std::vector<ScenarioEntry> entries;
@@ -231,11 +167,12 @@ std::vector<ScenarioEntry> ListScenarios() {
 
 namespace {
 
-Scenario Make(const Listed& listed, RigKind kind) {
+Scenario Make(const Listed& listed, const StereoRig& rig, double distance_mm) {
   Scenario s{.name = listed.entry.name,
              .summary = listed.entry.summary,
-             .rig = MakeRig(kind),
-             .ground_from_rig = {},
+             .rig = rig,
+             .distance_mm = distance_mm,
+             .ground_from_rig = MakeRigPose(rig, distance_mm),
              .surface = SpecimenOptions(),
              .speckle = {},
              .motion = {},
@@ -244,16 +181,14 @@ Scenario Make(const Listed& listed, RigKind kind) {
              .render = {},
              .dropped = {}};
   listed.adapt(s);
-  const double distance = WorkingDistance_mm(s);
-  s.ground_from_rig = MakeRigPose(s.rig, distance);
   if (s.HasTyre()) {
     // From the wheel's centre: the inner surface's crown lies a radius below.
     s.ground_from_rig.translation_mm.z() -= Tyre(s).section.crown_radius_mm;
   }
-  s.speckle.diameter_mm = SpeckleDiameter_mm(s);
-  const double between = s.rig.right_from_left.Inverse().translation_mm.x();
-  s.lighting.leds_in_rig_mm = {{-45, 0, 0}, {between + 45, 0, 0}};
-  s.lighting.reference_distance_mm = distance;
+  s.speckle.diameter_mm = kSpeckle_px * distance_mm / rig.left.parameters()[0];
+  const double between_mm = rig.right_from_left.Inverse().translation_mm.x();
+  s.lighting.leds_in_rig_mm = {{-45, 0, 0}, {between_mm + 45, 0, 0}};
+  s.lighting.reference_distance_mm = distance_mm;
   return s;
 }
 
@@ -271,22 +206,39 @@ const Listed& Find(const std::vector<Listed>& list, const std::string& name) {
 
 Scenario MakeScenario(const std::string& name) {
   const std::vector<Listed> list = List();
-  const Listed& listed = Find(list, name);
-  return Make(listed, listed.rig);
+  return MakeScenario(name, Find(list, name).rig);
 }
 
 Scenario MakeScenario(const std::string& name, RigKind kind) {
-  const std::vector<Listed> list = List();
-  return Make(Find(list, name), kind);
+  return MakeScenario(name, MakeRig(DesignOf(kind)), DesignOf(kind).distance_mm);
 }
 
-double WorkingDistance_mm(const Scenario& scenario) {
-  const double focal_px = scenario.rig.left.parameters()[0];
-  const bool wide = focal_px < scenario.rig.left.size().width;
-  return wide ? kTyreDistance_mm : kLaboratoryDistance_mm;
+Scenario MakeScenario(const std::string& name, const StereoRig& rig, double distance_mm) {
+  const std::vector<Listed> list = List();
+  return Make(Find(list, name), rig, distance_mm);
+}
+
+RigKind RigOf(const std::string& name) {
+  const std::vector<Listed> list = List();
+  return Find(list, name).rig;
+}
+
+void RigMotionOptions::Check() const {
+  if (!mounting_rad.allFinite() || !std::isfinite(flexure_rad_per_m_s2)) {
+    throw UsageError("The rig's mounting and its flexure must be finite.");
+  }
+  if (!(wheelbase_mm >= 0) || !(vibration_hz > 0) || !(std::abs(vibration_rad) < 0.1)) {
+    throw UsageError("The wheelbase must be 0 or more and the vibration below 6 degrees.");
+  }
 }
 
 void Scenario::Check() const {
+  if (!(distance_mm > 0)) throw UsageError("The cameras must stand off by more than 0 mm.");
+  if (HasTyre() && distance_mm > std::get<TyreOptions>(surface).section.crown_radius_mm - 100) {
+    throw UsageError(fmt::format(
+        "A rig {:.0f} mm from the inner surface stands beyond the wheel's hub: at most {:.0f} mm.",
+        distance_mm, std::get<TyreOptions>(surface).section.crown_radius_mm - 100));
+  }
   if (frames < 1) throw UsageError("A recording has at least one frame.");
   if (!(frames_per_second > 0)) throw UsageError("The frame rate must be positive.");
   if (!(exposure_s >= 0) || exposure_s * frames_per_second > 1) {
@@ -302,15 +254,25 @@ void Scenario::Check() const {
           fmt::format("Frame {} cannot be dropped: there are {}, counted from 0.", index, frames));
     }
   }
-  if (static_cast<int>(dropped.size()) >= frames) {
+  if (std::set<int>(dropped.begin(), dropped.end()).size() >= static_cast<std::size_t>(frames)) {
     throw UsageError("All frames are dropped; leave at least one.");
   }
+  if (!HasTyre() && std::find(dropped.begin(), dropped.end(), 0) != dropped.end()) {
+    throw UsageError("Frame 0 of a specimen cannot be dropped: all displacements count from it.");
+  }
+  motion.Check();
   speckle.Check();
   lighting.Check();
   sensor.Check();
   render.Check();
   if (HasTyre()) {
-    std::get<TyreOptions>(surface).Check();
+    const auto& tyre = std::get<TyreOptions>(surface);
+    tyre.Check();
+    if ((tyre.speed_mm_s + std::abs(tyre.speed_swing_mm_s)) * exposure_s > kFarthestBlur_mm) {
+      throw UsageError(
+          fmt::format("The tyre moves by more than {:g} mm in one exposure; expose shorter.",
+                      kFarthestBlur_mm));
+    }
   } else {
     std::get<SpecimenOptions>(surface).Check();
   }

@@ -8,6 +8,7 @@
 #include "calib/stereo_rig.h"
 #include "io/virtual_rig/lighting.h"
 #include "io/virtual_rig/render.h"
+#include "io/virtual_rig/rig_design.h"
 #include "io/virtual_rig/sensor.h"
 #include "io/virtual_rig/specimen_surfaces.h"
 #include "io/virtual_rig/speckle.h"
@@ -27,6 +28,9 @@ struct RigMotionOptions {
   // The right camera vibrates against the left one: amplitude of its rotation about each axis.
   double vibration_rad = 0;
   double vibration_hz = 35;
+
+  // Throws UsageError naming the broken constraint.
+  void Check() const;
 };
 
 // Everything that a recording depends on, and the truth of it.
@@ -34,6 +38,7 @@ struct Scenario {
   std::string name;
   std::string summary;  // one line
   StereoRig rig;        // the true cameras
+  double distance_mm;   // from them to the surface in the middle of the view
   // Nominal pose of the rig (the left camera): in the laboratory ground_from_rig; in a tyre
   // relative to the wheel's centre, with the ground's axes.
   Rigid3 ground_from_rig;
@@ -61,17 +66,6 @@ struct Scenario {
   void Check() const;
 };
 
-// The cameras that scenarios come with.
-enum class RigKind {
-  kWide640,    // 640x480, 3.5 mm lens on a 1/2 inch sensor, 85 degrees of view, 40 mm apart
-  kWide1280,   // 1280x1024, the same lens
-  kLaboratory  // 1280x1024, 25 mm lens, 130 mm apart, converging on a point 500 mm away
-};
-StereoRig MakeRig(RigKind kind);
-// Nominal ground_from_rig of Scenario: looking straight down on the world's origin from
-// distance_mm; in a tyre, on its inner surface below the wheel's centre.
-Rigid3 MakeRigPose(const StereoRig& rig, double distance_mm);
-
 struct ScenarioEntry {
   std::string name;
   std::string summary;
@@ -79,12 +73,13 @@ struct ScenarioEntry {
 // All scenarios in the order of the list, the thesis' tests among them.
 std::vector<ScenarioEntry> ListScenarios();
 
-// A scenario by name, on other cameras than its own if asked for: the size of the speckle follows.
-// Throws UsageError, naming near ones, when there is none.
+// A scenario by name, on its own cameras or on others: pose, light and the size of the speckle
+// follow them. Throws UsageError when there is none of that name.
 Scenario MakeScenario(const std::string& name);
 Scenario MakeScenario(const std::string& name, RigKind kind);
+Scenario MakeScenario(const std::string& name, const StereoRig& rig, double distance_mm);
 
-// Distance from the cameras to the surface in the middle of the view (mm), for calibration.
-double WorkingDistance_mm(const Scenario& scenario);
+// The cameras that a scenario comes with. Throws UsageError.
+RigKind RigOf(const std::string& name);
 
 }  // namespace plumbline

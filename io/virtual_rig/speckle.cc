@@ -1,5 +1,7 @@
 #include "io/virtual_rig/speckle.h"
 
+#include <fmt/format.h>
+
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -10,6 +12,9 @@
 
 namespace plumbline {
 namespace {
+
+// Of memory's sake: some gigabytes.
+constexpr double kMaxCells = 5e7;
 
 struct Disc {
   double u, v;
@@ -165,6 +170,18 @@ void SpeckleOptions::Check() const {
 std::unique_ptr<const Albedo> MakeSpeckle(const MaterialDomain& domain,
                                           const SpeckleOptions& options) {
   options.Check();
+  const double width = domain.u_max - domain.u_min, height = domain.v_max - domain.v_min;
+  if (options.diameter_mm > std::min(width, height) / 8) {
+    throw UsageError(fmt::format(
+        "Speckles of {:g} mm are too large for a surface of {:.0f} x {:.0f} mm: at most an eighth.",
+        options.diameter_mm, width, height));
+  }
+  const double cells = 4 * width * height / (options.diameter_mm * options.diameter_mm);
+  if (cells * std::max(1.0, options.coverage) > kMaxCells) {
+    throw UsageError(fmt::format(
+        "Speckles of {:g} mm are too many for a surface of {:.0f} x {:.0f} mm: choose larger ones.",
+        options.diameter_mm, width, height));
+  }
   return std::make_unique<Speckle>(domain, options);
 }
 

@@ -26,7 +26,8 @@ struct SpeckleOptions {
 //
 // Albedo: white * prod_k (1 - c_k) + black * (1 - prod_k (1 - c_k)), c_k the coverage by disc k:
 //   c = S((b^2 - r^2) / (b^2 - a^2)),  a, b = radius * (1 -+ edge / 2),  S(x) = x^2 (3 - 2 x).
-// Exact at every point; memory about 40 bytes a disc.
+// Exact at every point; memory about 200 bytes a disc. Throws UsageError where discs are too large
+// or too many for the domain.
 std::unique_ptr<const Albedo> MakeSpeckle(const MaterialDomain& domain,
                                           const SpeckleOptions& options);
 

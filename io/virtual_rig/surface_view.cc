@@ -76,6 +76,21 @@ void SurfaceView::Rasterise() {
       Fill(pixels, vertices, {b, d, c});
     }
   }
+  MarkEdges();
+}
+
+// Where the sixteen places about a cell hold a surface nearer than its own four, that one may reach
+// into it.
+void SurfaceView::MarkEdges() {
+  near_edge_ = Image<std::uint8_t>(buffer_.size());
+  for (int y = 0; y < buffer_.height(); ++y) {
+    for (int x = 0; x < buffer_.width(); ++x) {
+      const std::vector<Guess> ring = GuessesAround(Eigen::Vector2d(x, y), 1);
+      const std::vector<Guess> own = GuessesAround(Eigen::Vector2d(x, y), 0);
+      if (ring.empty() || own.empty()) continue;
+      near_edge_(y, x) = Nearest(own).range > Nearest(ring).range * (1 + kEdgeShare) ? 1 : 0;
+    }
+  }
 }
 
 // Writes a triangle of the mesh into the depth buffer.
@@ -160,6 +175,9 @@ std::optional<SeenPoint> SurfaceView::Look(const Eigen::Vector2d& pixel) const {
   const Eigen::Vector3d ray = camera_.Unproject(pixel);
   if (!ray.allFinite()) return std::nullopt;
   const Eigen::Vector2d at = (pixel.array() + kMargin_px) / kBufferPitch_px;
+  const int x0 = static_cast<int>(std::floor(at.x())), y0 = static_cast<int>(std::floor(at.y()));
+  const bool inside = x0 >= 0 && y0 >= 0 && x0 < buffer_.width() && y0 < buffer_.height();
+  if (inside && near_edge_(y0, x0) != 0) return NearestHit(ray, GuessesAround(at, 1));
   std::vector<Guess> around = GuessesAround(at, 0);
   if (around.size() == 4 && std::all_of(around.begin(), around.end(), [&](const Guess& guess) {
         return guess.range < Nearest(around).range * (1 + kEdgeShare);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstdint>
 #include <memory>
 #include <optional>
 #include <vector>
@@ -60,6 +61,7 @@ class SurfaceView {
   SurfaceView(const Camera& camera, const Rigid3& camera_from_world, const SurfaceInstant& surface,
               ImageSize buffer);
   void Rasterise();
+  void MarkEdges();
   void Fill(const std::vector<Eigen::Vector2d>& pixels, const std::vector<Guess>& vertices,
             const std::size_t (&corner)[3]);
   std::vector<Guess> GuessesAround(const Eigen::Vector2d& at, int ring) const;
@@ -74,6 +76,7 @@ class SurfaceView {
   Eigen::Vector3d centre_in_world_;
   const SurfaceInstant& surface_;
   Image<Guess> buffer_;
+  Image<std::uint8_t> near_edge_;  // 1: a nearer surface ends within a place or two of the buffer
 };
 
 }  // namespace plumbline

@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 #include <oneapi/tbb/parallel_for.h>
 
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -23,10 +24,8 @@ Status StatusOf(const TruePoint& point) {
 
 }  // namespace
 
-TruthSeries::TruthSeries(const VirtualRig& rig) : rig_(rig), grid_px_(GridPixels()) {
-  for (int i = 0; i < rig.scenario().frames; ++i) {
-    if (!rig.IsDropped(i)) recorded_.push_back(i);
-  }
+TruthSeries::TruthSeries(const VirtualRig& rig)
+    : rig_(rig), recorded_(rig.Recorded()), grid_px_(GridPixels()) {
   if (!rig.scenario().follow_material) return;
   material_ = Image<Eigen::Vector2d>(grid_px_.size(), Eigen::Vector2d::Constant(kNaN));
   const auto first = rig.Truth(recorded_.front());
@@ -67,8 +66,7 @@ SeriesHeader TruthSeries::Header(const std::vector<Channel>& channels) const {
                                    .patch = s.HasTyre(),
                                    .slip = s.HasTyre()}};
   header.grid_points = s.follow_material ? "material" : "image";
-  header.displacement_reference =
-      s.HasTyre() ? "wheel" : fmt::format("frame {}", recorded_.front());
+  header.displacement_reference = s.HasTyre() ? "wheel" : "frame 0";
   header.channels = channels;
   NamedArray poses{"right_from_left_of_frames",
                    "mm",
@@ -88,15 +86,13 @@ SeriesHeader TruthSeries::Header(const std::vector<Channel>& channels) const {
 
 SeriesFrame TruthSeries::Frame(int frame) const {
   SeriesFrame out;
-  out.index = frame;
-  out.time_s = rig_.FrameTime(frame);
-  out.left_id = fmt::format("left/{:05}.png", frame);
-  out.right_id = fmt::format("right/{:05}.png", frame);
+  out.index = std::find(recorded_.begin(), recorded_.end(), frame) - recorded_.begin();
+  out.time_s = rig_.FrameTime(frame) - rig_.FrameTime(recorded_.front());
   for (int i = frame - 1; i >= 0 && rig_.IsDropped(i); --i) ++out.dropped_before;
   const auto truth = rig_.Truth(frame);
   FillPoints(*truth, &out);
   FillGround(*truth, &out);
-  if (rig_.tyre() != nullptr) FillTyre(out.time_s, &out);
+  if (rig_.tyre() != nullptr) FillTyre(rig_.FrameTime(frame), &out);
   return out;
 }
 

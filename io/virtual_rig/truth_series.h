@@ -23,8 +23,9 @@ class TruthSeries {
 
   // recipe_toml and inputs are the caller's to fill in.
   SeriesHeader Header(const std::vector<Channel>& channels = {}) const;
-  // Frames that are not dropped. `dropped_before` counts those that are.
-  const std::vector<int>& recorded() const { return recorded_; }
+  // The truth of one exposure. Index and time are those of the recording, which begins with its
+  // first frame that is not dropped; `dropped_before` counts those that are. The images' names are
+  // the caller's to fill in.
   SeriesFrame Frame(int frame) const;
 
  private:

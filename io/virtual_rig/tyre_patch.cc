@@ -11,7 +11,9 @@
 namespace plumbline {
 namespace {
 
-constexpr double kHalfLength_rad = 0.55, kHalfWidth_mm = 130;
+// The tyre is searched for contact so far from the bottom: farther than the highest obstacle
+// reaches.
+constexpr double kHalfLength_rad = 0.9;
 
 using Level = std::function<double(const Eigen::Vector2d&)>;
 
@@ -24,7 +26,9 @@ class Outline {
     for (int j = 0; j <= rows; ++j) {
       for (int i = 0; i <= columns; ++i) values.push_back(level(Node(i, j)));
     }
+    // The outer ring counts as outside, so that every outline closes.
     const auto inside = [&](int i, int j) {
+      if (i == 0 || j == 0 || i == columns || j == rows) return false;
       return values[static_cast<std::size_t>(j * (columns_ + 1) + i)] <= 0;
     };
     for (int j = 0; j < rows; ++j) {
@@ -102,7 +106,7 @@ std::optional<TyrePatch> FindPatch(const TyreSurface& tyre, double time_s, doubl
   };
   const double radius = tyre.options().section.crown_radius_mm;
   const double bottom = tyre.Wheel(time_s).angle_rad * radius;
-  const Eigen::Vector2d half(kHalfLength_rad * radius, kHalfWidth_mm);
+  const Eigen::Vector2d half(kHalfLength_rad * radius, tyre.Domain().v_max);
   Outline outline(level, Eigen::Vector2d(bottom, 0) - half,
                   static_cast<int>(std::ceil(2 * half.x() / spacing_mm)),
                   static_cast<int>(std::ceil(2 * half.y() / spacing_mm)), spacing_mm);

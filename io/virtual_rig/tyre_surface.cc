@@ -120,6 +120,12 @@ class TyreSurface::Shape {
     return {ground_mm.x() + travel, ground_mm.y()};
   }
 
+  // Of the wheel's centre on flat ground.
+  double LevelHeight() const {
+    return meridian_.outer_radius_mm() +
+           (options_.lifted_mm > 0 ? options_.lifted_mm : -options_.deflection_mm);
+  }
+
   double Compression(double travel) const {
     if (options_.lifted_mm > 0) return 0;
     return options_.deflection_mm + (1 - kAxleRise) * MeanGround(travel);
@@ -219,9 +225,8 @@ class TyreSurface::Shape {
 
   template <typename S>
   S AxleHeight(const S& travel) const {
-    const double radius = meridian_.outer_radius_mm();
-    if (options_.lifted_mm > 0) return S(radius + options_.lifted_mm);
-    return radius - options_.deflection_mm + kAxleRise * MeanGround(travel);
+    if (options_.lifted_mm > 0) return S(LevelHeight());
+    return LevelHeight() + kAxleRise * MeanGround(travel);
   }
 
   // Mean height of the enveloped ground, the middle of the footprint counting most.
@@ -261,10 +266,17 @@ void TyreOptions::Check() const {
   if (!(free_rolling_radius_mm > 0.8 * outer && free_rolling_radius_mm < outer)) {
     throw UsageError("The free rolling radius must lie between 0.8 and 1 outer radii.");
   }
-  if (!(bending_length_mm > 0)) throw UsageError("The carcass's bending length must be positive.");
+  if (!(bending_length_mm >= 15 && bending_length_mm <= 200)) {
+    throw UsageError("The carcass's bending length must lie in 15 to 200 mm.");
+  }
   if (!(speed_period_s > 0)) throw UsageError("The period of the speed's swing must be positive.");
-  if (!(std::abs(slip_ratio) < 0.2) || !(std::abs(slip_angle_rad) < 0.2)) {
-    throw UsageError("The virtual tyre stands slips below 0.2 and slip angles below 11 degrees.");
+  if (!(std::abs(slip_ratio) <= 0.1) || !(std::abs(slip_angle_rad) <= 0.1223)) {
+    throw UsageError("The virtual tyre stands slips up to 0.1 and slip angles up to 7 degrees.");
+  }
+  if (!(speed_mm_s >= 0 && speed_mm_s <= 1e5) || !(std::abs(speed_swing_mm_s) <= 1e5) ||
+      !std::isfinite(start_travel_mm) || !std::isfinite(start_angle_rad)) {
+    throw UsageError(
+        "The vehicle's speed must lie in 0 to 100 m/s, and where it starts must be finite.");
   }
 }
 
@@ -293,6 +305,7 @@ WheelState TyreSurface::Wheel(double time_s) const {
   wheel.angle_rad = state.angle.a;
   wheel.angular_speed_rad_s = state.angle.v[0];
   wheel.centre_height_mm = state.height.a;
+  wheel.level_height_mm = loaded_->LevelHeight();
   wheel.speed_mm_s = state.travel.v[0];
   const double w = 2 * std::numbers::pi / o.speed_period_s;
   wheel.acceleration_mm_s2 = o.speed_swing_mm_s * w * std::cos(w * time_s);

@@ -69,7 +69,8 @@ struct WheelState {
   double angle_rad = 0;            // turned since the state at which u = 0 was at the bottom
   double angular_speed_rad_s = 0;  // about +y: rolling forwards
   double centre_height_mm = 0;
-  double speed_mm_s = 0;  // of the vehicle, along x
+  double level_height_mm = 0;  // what that would be on flat ground
+  double speed_mm_s = 0;       // of the vehicle, along x
   double acceleration_mm_s2 = 0;
   double travel_mm = 0;
   // How far the loaded tyre is compressed against the mean ground under its footprint; 0 if lifted.

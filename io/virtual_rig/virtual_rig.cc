@@ -118,6 +118,14 @@ bool VirtualRig::IsDropped(int frame) const {
   return std::find(dropped.begin(), dropped.end(), frame) != dropped.end();
 }
 
+std::vector<int> VirtualRig::Recorded() const {
+  std::vector<int> recorded;
+  for (int i = 0; i < impl_->scenario.frames; ++i) {
+    if (!IsDropped(i)) recorded.push_back(i);
+  }
+  return recorded;
+}
+
 Rigid3 VirtualRig::GroundFromRig(double time_s) const {
   const Scenario& s = impl_->scenario;
   const Rigid3 mounting = Rigid3::FromRotationVector(s.motion.mounting_rad, {0, 0, 0});
@@ -126,8 +134,7 @@ Rigid3 VirtualRig::GroundFromRig(double time_s) const {
   const WheelState wheel = impl_->tyre->Wheel(time_s);
   double pitch_rad = s.motion.flexure_rad_per_m_s2 * wheel.acceleration_mm_s2 / 1000;
   if (s.motion.wheelbase_mm > 0) {
-    const double level = tyre.section.crown_radius_mm + tyre.section.crown_thickness_mm +
-                         (tyre.lifted_mm > 0 ? tyre.lifted_mm : -tyre.deflection_mm);
+    const double level = impl_->tyre->Wheel(0).level_height_mm;
     // The nose, and with it the front wheel, goes up: a turn from x to z, negative about y.
     pitch_rad -= std::atan((wheel.centre_height_mm - level) / s.motion.wheelbase_mm);
   }
@@ -188,10 +195,7 @@ namespace {
 class VirtualRigSource : public ImageSource {
  public:
   VirtualRigSource(std::shared_ptr<const VirtualRig> rig, const std::string& frames)
-      : rig_(std::move(rig)) {
-    for (int i = 0; i < rig_->scenario().frames; ++i) {
-      if (!rig_->IsDropped(i)) recorded_.push_back(i);
-    }
+      : rig_(std::move(rig)), recorded_(rig_->Recorded()) {
     selection_ = internal::ParseFrames(frames, static_cast<std::int64_t>(recorded_.size()));
     next_ = selection_.first;
   }

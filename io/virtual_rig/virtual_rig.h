@@ -56,6 +56,8 @@ class VirtualRig {
 
   double FrameTime(int frame) const;
   bool IsDropped(int frame) const;
+  // The frames that are not dropped, in order: what a recording holds.
+  std::vector<int> Recorded() const;
   Rigid3 GroundFromRig(double time_s) const;
   Rigid3 RightFromLeft(double time_s) const;
 
@@ -63,6 +65,7 @@ class VirtualRig {
   Image<float> MeanImage(int frame, Side side) const;
   GrayImage TakeImage(int frame, Side side) const;
 
+  // The rig must outlive it.
   std::unique_ptr<const TrueFrame> Truth(int frame) const;
 
  private:

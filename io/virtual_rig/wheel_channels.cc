@@ -15,6 +15,7 @@ namespace {
 constexpr double kVerticalStiffness_N_mm = 300;
 constexpr double kLongitudinalStiffness = 8, kCorneringStiffness = 6, kRollingResistance = 0.015;
 constexpr double kSpeedNoise = 1e-3, kForceNoise_N = 15;
+constexpr double kMaxSamples = 1e7;
 constexpr std::uint64_t kStream = 0x6368616e;  // apart from those of the images
 
 }  // namespace
@@ -39,7 +40,12 @@ std::vector<Channel> LogWheelChannels(const VirtualRig& rig, const ChannelOption
   const TyreOptions& tyre = rig.tyre()->options();
   const double begin = -options.lead_s;
   const double end = rig.FrameTime(rig.scenario().frames - 1) + options.lead_s;
-  const auto count = static_cast<int>(std::floor((end - begin) * options.rate_hz)) + 1;
+  const double samples = std::floor((end - begin) * options.rate_hz) + 1;
+  if (samples > kMaxSamples) {
+    throw UsageError(fmt::format(
+        "The channels would hold {:.3g} samples; log at a lower --channel-rate.", samples));
+  }
+  const auto count = static_cast<int>(samples);
   std::mt19937_64 random(internal::MixedSeed({options.seed, kStream}));
   std::normal_distribution<double> normal(0, 1);
   const auto noise = [&](double sigma) { return options.noise ? sigma * normal(random) : 0.0; };

@@ -12,12 +12,20 @@ namespace {
 constexpr double kCell_px = 8;
 constexpr double kSmallest_px = 1;
 constexpr double kTolerance_px = 1e-4;
+constexpr double kLightTolerance = 2e-4;
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
 
 // Lagrange's weights of the nodes 0, 1/3, 2/3, 1.
 Eigen::Array4d Weights(double t) {
   const double a = 3 * t, b = a - 1, c = a - 2, d = a - 3;
   return {-b * c * d / 6, a * c * d / 2, -a * b * d / 2, a * b * c / 6};
+}
+
+// Material (mm) a pixel, from the spread of the nodes.
+double MaterialPerPixel(const std::array<MaterialMap::Sample, 16>& nodes, double size) {
+  return std::max((nodes[3] - nodes[0]).head<2>().matrix().norm(),
+                  (nodes[12] - nodes[0]).head<2>().matrix().norm()) /
+         size;
 }
 
 }  // namespace
@@ -73,23 +81,34 @@ MaterialMap::Cell MaterialMap::Build(const Eigen::Vector2d& corner, double size,
   const Sample centre = Look(corner + Eigen::Vector2d::Constant(size / 2));
   const bool centre_hit = !centre.isNaN().any();
   if (hits == 0 && !centre_hit) return {Kind::kEmpty, 0};
-  if (hits == 16 && centre_hit) {
-    const Eigen::Array4d w = Weights(0.5);
-    Sample guess = Sample::Zero();
-    for (int k = 0; k < 16; ++k) guess += w[k % 4] * w[k / 4] * nodes[static_cast<std::size_t>(k)];
-    // Material (mm) a pixel, from the spread of the nodes.
-    const double per_px = std::max((nodes[3] - nodes[0]).head<2>().matrix().norm(),
-                                   (nodes[12] - nodes[0]).head<2>().matrix().norm()) /
-                          size;
-    if ((guess - centre).head<4>().abs().maxCoeff() < kTolerance_px * per_px) {
-      branch.nodes.push_back(nodes);
-      const double moved = (centre.segment<2>(2) - centre.segment<2>(0)).matrix().norm();
-      branch.motion_px = std::max(branch.motion_px, moved / per_px);
-      return {Kind::kSmooth, static_cast<int>(branch.nodes.size()) - 1};
-    }
+  if (hits == 16 && centre_hit && Interpolates(nodes, corner, size, centre)) {
+    branch.nodes.push_back(nodes);
+    const double moved = (centre.segment<2>(2) - centre.segment<2>(0)).matrix().norm();
+    branch.motion_px = std::max(branch.motion_px, moved / MaterialPerPixel(nodes, size));
+    return {Kind::kSmooth, static_cast<int>(branch.nodes.size()) - 1};
   }
   if (size <= kSmallest_px) return {Kind::kExact, 0};
   return Split(corner, size, nodes, centre, branch);
+}
+
+bool MaterialMap::Interpolates(const Nodes& nodes, const Eigen::Vector2d& corner, double size,
+                               const Sample& centre) const {
+  const double tolerance_mm = kTolerance_px * MaterialPerPixel(nodes, size);
+  const auto agrees = [&](double tx, double ty, const Sample& exact) {
+    const Eigen::Array4d wx = Weights(tx), wy = Weights(ty);
+    Sample guess = Sample::Zero();
+    for (int k = 0; k < 16; ++k) {
+      guess += wx[k % 4] * wy[k / 4] * nodes[static_cast<std::size_t>(k)];
+    }
+    return (guess - exact).head<4>().abs().maxCoeff() < tolerance_mm &&
+           std::abs(guess[4] - exact[4]) < kLightTolerance;
+  };
+  const auto look = [&](double tx, double ty) {
+    return Look(corner + size * Eigen::Vector2d(tx, ty));
+  };
+  // NaN agrees with nothing.
+  return agrees(0.5, 0.5, centre) && agrees(1.0 / 6, 5.0 / 6, look(1.0 / 6, 5.0 / 6)) &&
+         agrees(5.0 / 6, 1.0 / 6, look(5.0 / 6, 1.0 / 6));
 }
 
 MaterialMap::Cell MaterialMap::Split(const Eigen::Vector2d& corner, double size, const Nodes& nodes,

@@ -13,7 +13,7 @@ namespace plumbline::internal {
 // point at the shutter's opening and closing, and the light there.
 //
 // Cells of 8 px hold 4x4 exact nodes (SurfaceView::Look) and are interpolated by bicubic Lagrange
-// polynomials. Each cell is checked against an exact look at its centre and halved until they agree
+// polynomials. Each cell is checked against exact looks at three places and halved until they agree
 // to 1e-4 px, down to a pixel; what is still rough then (occluding edges) is looked at exactly,
 // place by place.
 class MaterialMap {
@@ -57,6 +57,9 @@ class MaterialMap {
   Sample Look(const Eigen::Vector2d& pixel) const;
   // `nodes` of the cell are known; those of the cells below it are found here.
   Cell Build(const Eigen::Vector2d& corner, double size, const Nodes& nodes, Branch& branch) const;
+  // Whether the polynomials agree with exact looks between the nodes.
+  bool Interpolates(const Nodes& nodes, const Eigen::Vector2d& corner, double size,
+                    const Sample& centre) const;
   Cell Split(const Eigen::Vector2d& corner, double size, const Nodes& nodes, const Sample& centre,
              Branch& branch) const;
   void EvaluateRun(const Branch& branch, const Cell& cell, const Eigen::Vector2d& corner,

@@ -33,7 +33,7 @@ class Meridian {
            (options_.shoulder_thickness_mm - options_.crown_thickness_mm) *
                SmoothStep(T((a - (options_.shoulder_begin_mm - 10)) / 30.0)) +
            (options_.sidewall_thickness_mm - options_.shoulder_thickness_mm) *
-               SmoothStep(T((a - (options_.sidewall_begin_mm - 10)) / 40.0));
+               SmoothStep(T((a - (options_.sidewall_begin_mm + 26)) / 60.0));
   }
 
   const TyreSection& options() const { return options_; }

@@ -96,7 +96,15 @@ TEST(Recording, TruthIsAWholeSeriesWithAllGroups) {
   EXPECT_EQ(truth.displacement_reference(), "wheel");
   EXPECT_EQ(truth.channels().size(), 5U);
   const SeriesFrame frame = truth.Frame(1);
-  EXPECT_EQ(frame.index, 2);
+  // As the image source counts, names and times the frames of this recording.
+  const auto source =
+      OpenImageSource((folder / "sim" / "left").string(), (folder / "sim" / "right").string());
+  source->Next();
+  const auto recorded = source->Next();
+  EXPECT_EQ(frame.index, recorded->index);
+  EXPECT_EQ(frame.left_id, recorded->left_id);
+  EXPECT_EQ(frame.right_id, recorded->right_id);
+  EXPECT_NEAR(frame.time_s, rig.FrameTime(2), 1e-12);
   EXPECT_EQ(frame.dropped_before, 1);
   EXPECT_TRUE(frame.wheel.found && frame.patch.found && frame.slip.found && frame.ground.found);
   EXPECT_NEAR(frame.wheel.centre_mm.z(), rig.tyre()->Wheel(rig.FrameTime(2)).centre_height_mm,
@@ -253,6 +261,35 @@ TEST(Recording, RefusesAFullFolderAndKeepsIt) {
   }
   EXPECT_EQ(TextOf(folder / "mine.txt"), "mine");
   EXPECT_THROW(WriteRecording(rig, folder / "mine.txt" / "below", {}, kGoOn), EnvironmentError);
+}
+
+TEST(Recording, OverwritesAllOfAnEarlierRecording) {
+  const fs::path folder = testing::TestFolder();
+  WriteRecording(VirtualRig(ShortCleat()), folder, {}, kGoOn);
+  std::ofstream(folder / "mine.txt") << "mine";
+  Scenario still = MakeScenario("still", RigKind::kWide640);
+  still.frames = 2;
+  RecordingOptions options;
+  options.overwrite = true;
+  WriteRecording(VirtualRig(still), folder, options, kGoOn);
+  EXPECT_EQ(ListImages((folder / "left").string()).size(), 2U);
+  EXPECT_FALSE(fs::exists(folder / "channels.csv"));
+  EXPECT_EQ(TextOf(folder / "mine.txt"), "mine");
+}
+
+// The truth's channels are exact and on the clock of its frames; those of the logger are neither.
+TEST(Recording, TruthHoldsTheChannelsOnTheClockOfTheFrames) {
+  const fs::path folder = testing::TestFolder();
+  const VirtualRig rig(ShortCleat());
+  WriteRecording(rig, folder / "sim", {}, kGoOn);
+  for (const Channel& channel : SeriesReader(folder / "sim" / "truth.h5").channels()) {
+    if (channel.name != "wheel_speed") continue;
+    for (const std::size_t k : {0U, 100U, 111U}) {
+      EXPECT_NEAR(channel.value[k], rig.tyre()->Wheel(channel.time_s[k]).angular_speed_rad_s,
+                  1e-12);
+    }
+    EXPECT_NEAR(channel.time_s[0], -0.5, 1e-12);
+  }
 }
 
 TEST(Recording, StopsWhenToldAndLeavesWholeFiles) {

@@ -74,7 +74,7 @@ TEST(SurfaceView, SeesNothingBesideTheSpecimen) {
   options.size_mm = {20, 20};
   const auto specimen = MakeSpecimen(options);
   const auto now = specimen->At(0);
-  const StereoRig rig = MakeRig(RigKind::kLaboratory);
+  const StereoRig rig = MakeRig(DesignOf(RigKind::kLaboratory));
   const SurfaceView view(rig.left, MakeRigPose(rig, 500).Inverse(), *now);
   EXPECT_FALSE(view.Look({10, 10}));
   EXPECT_TRUE(view.Look({640, 512}));

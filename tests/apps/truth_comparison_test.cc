@@ -1,0 +1,74 @@
+#include "apps/truth_comparison.h"
+
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <random>
+
+#include "io/virtual_rig/truth_series.h"
+
+namespace plumbline {
+namespace {
+
+// The truth as if it had been measured, with errors of a known size along z.
+struct Measured {
+  VirtualRig rig;
+  SeriesFrame frame;
+  Image<Eigen::Vector2f> grid_px;
+
+  explicit Measured(double error_mm, double claimed_mm) : rig(MakeScenario("tyre-flat")) {
+    const TruthSeries truth(rig);
+    frame = truth.Frame(0);
+    grid_px = truth.Header().grid_px;
+    std::mt19937 random(5);
+    std::normal_distribution<float> normal(0, static_cast<float>(error_mm));
+    for (std::size_t i = 0; i < frame.surface.status.pixel_count(); ++i) {
+      if (frame.surface.status.data()[i] != Status::kOk) continue;
+      frame.surface.position_mm.data()[i].z() += normal(random);
+      frame.surface.sigma_random_mm.data()[i].setConstant(static_cast<float>(claimed_mm));
+    }
+  }
+
+  TruthComparison Compare() const { return CompareWithTruth(frame, grid_px, *rig.Truth(0)); }
+};
+
+TEST(TruthComparison, FindsTheErrorsThatWereMade) {
+  const TruthComparison comparison = Measured(0.05, 0.05).Compare();
+  EXPECT_GT(comparison.points, 3500);
+  EXPECT_EQ(comparison.unfounded, 0);
+  EXPECT_NEAR(comparison.rms_distance_mm, 0.05, 0.002);
+  EXPECT_NEAR(comparison.rms_height_mm, 0.05, 0.002);
+  EXPECT_NEAR(comparison.median_height_error_mm, 0.6745 * 0.05, 0.002);
+  EXPECT_NEAR(comparison.within_one_sigma, 0.683, 0.03);
+  EXPECT_NEAR(comparison.within_two_sigma, 0.954, 0.02);
+  EXPECT_LT(comparison.tilt_error_rad.norm(), 1e-12);
+}
+
+TEST(TruthComparison, TellsAClaimThatIsTooSmall) {
+  EXPECT_LT(Measured(0.05, 0.01).Compare().within_two_sigma, 0.4);
+}
+
+TEST(TruthComparison, TakesOutTheRigidMotionForTheShapeOnly) {
+  Measured measured(0.01, 0.01);
+  for (Eigen::Vector3f& p : measured.frame.surface.position_mm.values()) {
+    p += Eigen::Vector3f(0.3f, 0, -0.4f);
+  }
+  const TruthComparison comparison = measured.Compare();
+  EXPECT_NEAR(comparison.rms_distance_mm, 0.5, 0.01);
+  EXPECT_NEAR(comparison.rms_shape_mm, 0.01, 0.002);
+}
+
+TEST(TruthComparison, CountsPointsWithoutASurface) {
+  Scenario scenario = MakeScenario("still", RigKind::kWide640);  // smaller than the view
+  const VirtualRig rig(scenario);
+  const TruthSeries truth(rig);
+  SeriesFrame frame = truth.Frame(0);
+  const Image<Eigen::Vector2f> grid_px = truth.Header().grid_px;
+  ASSERT_EQ(frame.surface.status(0, 0), Status::kMasked);
+  frame.surface.status(0, 0) = Status::kOk;
+  frame.surface.position_mm(0, 0).setZero();
+  EXPECT_EQ(CompareWithTruth(frame, grid_px, *rig.Truth(0)).unfounded, 1);
+}
+
+}  // namespace
+}  // namespace plumbline
