@@ -5,6 +5,7 @@
 #include <oneapi/tbb/global_control.h>
 
 #include <cmath>
+#include <cstdio>
 #include <fstream>
 #include <sstream>
 
@@ -245,6 +246,7 @@ TEST(BoardPhotographs, DiscCentroidsAreWhereProjectionPutsThem) {
       ++count;
     }
   }
+  std::printf("%d discs: rms %.4f px a component\n", count, std::sqrt(squares / count));
   EXPECT_LT(std::sqrt(squares / count), 0.012);
 }
 
@@ -318,6 +320,46 @@ TEST(WheelChannels, LogTheWheelOnTheirOwnClock) {
   EXPECT_LT(channels[2].value[100], -1000);         // braking
   EXPECT_NEAR(channels[4].value[100], 5400, 1e-6);  // 18 mm
   EXPECT_TRUE(LogWheelChannels(VirtualRig(MakeScenario("still"))).empty());
+}
+
+// The table that a user opens: a head with units, numbers as logged, a clock of its own, and the
+// spread that a transducer has.
+TEST(WheelChannels, AreWrittenAsATableWithUnits) {
+  const fs::path folder = testing::TestFolder();
+  Scenario scenario = MakeScenario("tyre-cornering");
+  scenario.frames = 50;
+  const VirtualRig rig(scenario);
+  const std::vector<Channel> channels = LogWheelChannels(rig);
+  WriteChannelsCsv(folder / "channels.csv", channels);
+  std::ifstream in(folder / "channels.csv");
+  std::string line;
+  std::getline(in, line);
+  EXPECT_EQ(line, "time_s,wheel_speed_rad/s,vehicle_speed_m/s,force_x_N,force_y_N,force_z_N");
+  std::vector<std::vector<double>> rows;
+  while (std::getline(in, line)) {
+    std::istringstream cells(line);
+    rows.emplace_back();
+    for (std::string cell; std::getline(cells, cell, ',');) rows.back().push_back(std::stod(cell));
+    ASSERT_EQ(rows.back().size(), 6U);
+  }
+  ASSERT_EQ(rows.size(), channels[0].value.size());
+  EXPECT_NEAR(rows[0][0], -0.5 + 0.237, 1e-6);
+  EXPECT_NEAR(rows[1][0] - rows[0][0], 1.0 / 200, 1e-6);
+  // Means and spreads: rolling resistance drags, the ground pushes the sliding wheel to its right.
+  const double load = 300 * 18, slip = 3 * std::numbers::pi / 180;
+  const double expected[] = {rig.tyre()->Wheel(0).angular_speed_rad_s, 1.4, -0.015 * load,
+                             -6 * load * slip, load};
+  for (std::size_t c = 0; c < 5; ++c) {
+    double sum = 0, squares = 0;
+    const auto n = static_cast<double>(rows.size());
+    for (const auto& row : rows) {
+      sum += row[c + 1];
+      squares += row[c + 1] * row[c + 1];
+    }
+    const double spread = c < 2 ? 1e-3 * expected[c] : 15;
+    EXPECT_NEAR(sum / n, expected[c], 5 * spread / std::sqrt(n)) << c;
+    EXPECT_NEAR(std::sqrt(squares / n - sum * sum / n / n) / spread, 1, 5 / std::sqrt(2 * n)) << c;
+  }
 }
 
 }  // namespace

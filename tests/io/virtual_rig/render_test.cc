@@ -4,6 +4,7 @@
 #include <oneapi/tbb/global_control.h>
 
 #include <cmath>
+#include <cstdio>
 
 #include "calib/error.h"
 #include "io/virtual_rig/virtual_rig.h"
@@ -25,11 +26,19 @@ Image<float> MeanImage(Scenario scenario, int frame, int samples_per_px) {
 }
 
 TEST(Render, HalvingTheSampleSpacingChangesLessThanATenthOfAGreyLevel) {
-  for (const char* name : {"tyre-flat", "cleat-lateral-square38", "incline"}) {
-    const Scenario scenario = MakeScenario(name);
+  struct Case {
+    const char* name;
+    RigKind rig;
+  };
+  for (const auto& [name, rig] :
+       {Case{"tyre-flat", RigKind::kWide640}, Case{"tyre-flat", RigKind::kWide1280},
+        Case{"cleat-lateral-square38", RigKind::kWide640}, Case{"nuts", RigKind::kWide640},
+        Case{"incline", RigKind::kWide640}, Case{"shear", RigKind::kLaboratory}}) {
+    const Scenario scenario = MakeScenario(name, rig);
     const int samples = scenario.render.samples_per_px;
     const Image<float> normal = MeanImage(scenario, 4, samples);
     const double change = MeanDifference(normal, MeanImage(scenario, 4, 2 * samples));
+    std::printf("%s %dx%d: %.4f grey levels\n", name, normal.width(), normal.height(), change);
     EXPECT_LT(change, 0.1) << name;
     EXPECT_GT(change, 0) << name;
   }

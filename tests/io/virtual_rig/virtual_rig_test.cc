@@ -4,59 +4,18 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <fstream>
+#include <cstdio>
 #include <numbers>
 #include <opencv2/video/tracking.hpp>
 
 #include "calib/error.h"
-#include "io/rig_file.h"
-#include "tests/support/shared_data.h"
+#include "tests/io/virtual_rig/mrcal_check.h"
 
 namespace plumbline {
 namespace {
-namespace fs = std::filesystem;
 
-// What another program makes of the true positions.
 TEST(VirtualRig, TruePixelsAreMrcalsProjections) {
-  const fs::path folder = testing::TestFolder();
-  Scenario scenario = MakeScenario("tyre-disturbed");
-  const VirtualRig rig(scenario);
-  const auto truth = rig.Truth(7);
-  // A rig file with the relative pose of this very frame: one camera vibrates.
-  StereoRig now = scenario.rig;
-  now.right_from_left = truth->right_from_left();
-  WriteRigFile(folder / "rig.h5", now);
-  std::ofstream out(folder / "points.csv");
-  out.precision(17);
-  int count = 0;
-  for (int y = 0; y < 480; y += 40) {
-    for (int x = 0; x < 640; x += 40) {
-      const auto point = truth->UnderLeftPixel(Eigen::Vector2d(x, y));
-      if (!point) continue;
-      ++count;
-      const Eigen::Vector3d p = truth->ground_from_rig().Inverse() * point->position_mm;
-      out << p.x() << ' ' << p.y() << ' ' << p.z() << ' ' << x << ' ' << y << ' '
-          << point->right_px.x() << ' ' << point->right_px.y() << '\n';
-    }
-  }
-  out.close();
-  ASSERT_GT(count, 180);
-  const auto compared = testing::RunPython(R"py(
-import sys, io, h5py, mrcal, numpy as np
-folder = sys.argv[1]
-table = np.loadtxt(folder + '/points.csv')
-f = h5py.File(folder + '/rig.h5')
-worst = 0
-for side, columns in (('left', slice(3, 5)), ('right', slice(5, 7))):
-    model = mrcal.cameramodel(io.StringIO(f['rig'][side]['cameramodel'].asstr()[()]))
-    p = mrcal.transform_point_Rt(model.extrinsics_Rt_fromref(), table[:, :3] / 1000)
-    q = mrcal.project(p, *model.intrinsics())
-    worst = max(worst, np.abs(q - table[:, columns]).max())
-assert worst < 1e-6, worst
-print('agree')
-)py",
-                                           folder.string());
-  EXPECT_THAT(compared.output, ::testing::HasSubstr("agree"));
+  testing::ExpectMrcalProjectsTheTruth(VirtualRig(MakeScenario("tyre-disturbed")), 7);
 }
 
 cv::Mat Patch(const Image<float>& image, const Eigen::Vector2i& corner, int size) {
@@ -143,6 +102,8 @@ void ExpectEccAgrees(const Scenario& scenario, Side second_side, int step_px, in
   }
   ASSERT_GT(count, least_patches) << scenario.name;
   const Eigen::Vector2d mean = sum / count;
+  std::printf("%s: %d patches, mean %.4f %.4f px, rms %.3f %.3f px\n", scenario.name.c_str(), count,
+              mean.x(), mean.y(), std::sqrt(squares.x() / count), std::sqrt(squares.y() / count));
   EXPECT_LT(mean.cwiseAbs().maxCoeff(), 0.005) << scenario.name << ": " << mean.transpose();
   EXPECT_LT((squares / count).cwiseSqrt().maxCoeff(), 0.06) << scenario.name;
   // Nor do errors of opposite sign hide each other: the halves of the image agree too.
@@ -249,14 +210,61 @@ TEST(VirtualRig, DisturbancesHaveTheirSign) {
   EXPECT_NEAR(std::atan2(heading.y(), heading.x()), -3 * std::numbers::pi / 180, 1e-12);
 }
 
+// By just the delay: what it takes is what cameras without it take one frame later, where frames
+// follow each other so fast.
 TEST(VirtualRig, TheRightCameraExposesLaterWhereAsked) {
-  Scenario scenario = Quiet("tyre-flat");
-  scenario.frames = 1;
+  Scenario scenario = MakeScenario("tyre-disturbed");
+  scenario.lighting.flicker = 0;
+  scenario.dropped.clear();
+  scenario.right_delay_s = 0;
+  scenario.frames = 2;
+  scenario.frames_per_second = 500;
   Scenario late = scenario;
+  late.frames_per_second = 50;
   late.right_delay_s = 2e-3;
   const VirtualRig a(scenario), b(late);
   EXPECT_EQ(a.MeanImage(0, Side::kLeft).values(), b.MeanImage(0, Side::kLeft).values());
   EXPECT_NE(a.MeanImage(0, Side::kRight).values(), b.MeanImage(0, Side::kRight).values());
+  EXPECT_EQ(a.MeanImage(1, Side::kRight).values(), b.MeanImage(0, Side::kRight).values());
+}
+
+// As one would measure the noise of a real camera: a scene that stands still, the same pixels again
+// and again. The variance goes with the mean as stated, in each part of the scale.
+TEST(VirtualRig, NoiseOfAStillSceneIsThePhotonTransferThatWasAskedFor) {
+  Scenario scenario = MakeScenario("still", RigKind::kWide640);
+  scenario.lighting.flicker = 0;
+  scenario.frames = 6;
+  scenario.sensor.gain_grey = 0.05;
+  scenario.sensor.read_noise_grey = 0.7;
+  const VirtualRig rig(scenario);
+  std::vector<GrayImage> images;
+  for (int i = 0; i < scenario.frames; ++i) images.push_back(rig.TakeImage(i, Side::kRight));
+  const Image<float> mean = rig.MeanImage(0, Side::kRight);
+  constexpr int kBins = 8;
+  double variance[kBins] = {}, expected[kBins] = {};
+  int counts[kBins] = {};
+  for (std::size_t i = 0; i < mean.pixel_count(); ++i) {
+    const auto grey = static_cast<double>(mean.data()[i]);
+    const int bin = static_cast<int>(grey / 25);
+    if (bin < 0 || bin >= kBins) continue;
+    double sum = 0, squares = 0;
+    for (const GrayImage& image : images) {
+      const double value = image.grey.data()[i];
+      sum += value;
+      squares += value * value;
+    }
+    variance[bin] += (squares - sum * sum / scenario.frames) / (scenario.frames - 1);
+    expected[bin] += 0.05 * grey + 0.49 + 1.0 / 12;  // photons, reading, rounding
+    ++counts[bin];
+  }
+  int filled = 0;
+  for (int bin = 0; bin < kBins; ++bin) {
+    if (counts[bin] < 2000) continue;
+    ++filled;
+    // A variance of n values with 5 degrees of freedom each scatters by sqrt(2 / (5 n)).
+    EXPECT_NEAR(variance[bin] / expected[bin], 1, 5 * std::sqrt(0.4 / counts[bin])) << bin;
+  }
+  EXPECT_GE(filled, 5);
 }
 
 TEST(VirtualRig, IsAnImageSourceWithoutTheDroppedFrames) {
