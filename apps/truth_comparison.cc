@@ -46,6 +46,30 @@ Pairs PairUp(const SeriesFrame& frame, const Image<Eigen::Vector2f>& grid_px,
   return pairs;
 }
 
+// The rigid motion that brings both together, by the points that agree: a few wrong ones, however
+// far away, must not turn all others.
+Rigid3 RobustRigidMotion(const Pairs& pairs) {
+  constexpr int kPasses = 4;
+  constexpr double kFarOff = 6;  // medians of the distances
+  Rigid3 align = internal::BestRigidMotion(pairs.measured, pairs.truth);
+  for (int pass = 0; pass < kPasses; ++pass) {
+    std::vector<double> distance;
+    for (std::size_t i = 0; i < pairs.measured.size(); ++i) {
+      distance.push_back((align * pairs.measured[i] - pairs.truth[i]).norm());
+    }
+    const double limit = kFarOff * Median(distance);
+    std::vector<Eigen::Vector3d> measured, truth;
+    for (std::size_t i = 0; i < distance.size(); ++i) {
+      if (distance[i] > limit) continue;
+      measured.push_back(pairs.measured[i]);
+      truth.push_back(pairs.truth[i]);
+    }
+    if (measured.size() < 3 || measured.size() == distance.size()) break;
+    align = internal::BestRigidMotion(measured, truth);
+  }
+  return align;
+}
+
 void ComparePlanes(const GroundRecord& measured, const TrueFrame& truth, TruthComparison* result) {
   if (!measured.found) return;
   GroundRecord exact;
@@ -70,7 +94,7 @@ TruthComparison CompareWithTruth(const SeriesFrame& measured, const Image<Eigen:
   result.unfounded = pairs.unfounded;
   result.points = static_cast<std::int64_t>(pairs.measured.size());
   if (result.points < 3) return result;
-  const Rigid3 align = internal::BestRigidMotion(pairs.measured, pairs.truth);
+  const Rigid3 align = RobustRigidMotion(pairs);
   double distance2 = 0, shape2 = 0, height2 = 0;
   std::vector<double> height, random, calibration;
   std::int64_t within_one = 0, within_two = 0;

@@ -16,7 +16,8 @@ struct TruthComparison {
   // Distance of the measured points from the true ones in the rig frame, as they are: the frame's
   // own uncertainty (the rigid motion that calibration modes make) included.
   double rms_distance_mm = kNotMeasured;
-  // The same after the rigid motion that brings both together: the shape alone.
+  // The same after the rigid motion that brings the points together which agree (within 6 medians
+  // of their distances): the shape alone.
   double rms_shape_mm = kNotMeasured;
   // Of that, the part along the z axis of the frame that positions are given in, and what was
   // claimed for it. The median tells of the surface, the root mean square of its worst points.

@@ -84,15 +84,19 @@ struct VideoWriter::Impl {
   std::int64_t added = 0;
 };
 
+void VideoWriter::CheckRate(double frames_per_second) {
+  if (!(frames_per_second >= 0.1 && frames_per_second <= 1e5)) {
+    throw UsageError("A video has 0.1 to 100000 frames a second; write PNG images instead.");
+  }
+}
+
 VideoWriter::VideoWriter(const fs::path& file, ImageSize size, double frames_per_second)
     : impl_(std::make_unique<Impl>()) {
   if (file.extension() != ".mkv" && file.extension() != ".avi") {
     throw UsageError(
         fmt::format("A video is written to a .mkv or .avi file, not to '{}'.", file.string()));
   }
-  if (!(frames_per_second >= 0.1 && frames_per_second <= 1e5)) {
-    throw UsageError("A video has 0.1 to 100000 frames a second; write PNG images instead.");
-  }
+  CheckRate(frames_per_second);
   impl_->file = file;
   impl_->size = size;
   const bool opened = impl_->writer.open(

@@ -15,7 +15,11 @@ void WritePng(const std::filesystem::path& file, const GrayImage& image);
 // A lossless grey video: FFV1 in a Matroska (.mkv) or AVI (.avi) file, 8 bits.
 class VideoWriter {
  public:
-  // Throws UsageError on another ending, EnvironmentError when the file cannot be made.
+  // Throws UsageError on a rate that videos cannot have: for asking before there is a file.
+  static void CheckRate(double frames_per_second);
+
+  // Throws UsageError on another ending or as CheckRate(), EnvironmentError when the file cannot be
+  // made.
   VideoWriter(const std::filesystem::path& file, ImageSize size, double frames_per_second);
   ~VideoWriter();
 

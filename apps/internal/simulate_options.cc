@@ -16,6 +16,7 @@ namespace plumbline::internal {
 namespace {
 
 constexpr double kDegree = std::numbers::pi / 180;
+constexpr double kWheelbase_mm = 2794;  // of a Land Rover 110
 
 std::vector<double> NumbersOf(const std::string& text, const std::string& option) {
   std::vector<double> numbers;
@@ -120,6 +121,13 @@ void SimulateOptions::DeclareCameras(OptionTable& options) {
   options.Add(
       {.name = "samples", .help = "samples across a pixel, in each direction", .min = 1, .max = 32},
       &samples_);
+  options.Add(
+      {.name = "brightness",
+       .help = "of a white surface in full light, black level apart; the sensor clips at 255",
+       .unit = "grey levels",
+       .min = 1,
+       .max = 10000},
+      &brightness_);
   options.Add({.name = "flicker",
                .help = "sigma of the light between frames, relative",
                .min = 0,
@@ -180,7 +188,9 @@ void SimulateOptions::DeclareTyre(OptionTable& options) {
                .help = "pitch of the torque arm an acceleration of 1 m/s2",
                .unit = "deg"},
               &flexure_deg_);
-  options.Add({.name = "vehicle-pitch", .help = "the vehicle pitches as the axle rises"},
+  options.Add({.name = "vehicle-pitch",
+               .help = "whether the vehicle pitches as the axle rises; auto: the scenario's",
+               .choices = {"auto", "on", "off"}},
               &vehicle_pitch_);
   options.Add({.name = "vibration",
                .help = "amplitude of the right camera against the left one",
@@ -270,6 +280,11 @@ VirtualRig SimulateOptions::Rig(std::uint64_t seed) const {
   return VirtualRig(std::move(scenario));
 }
 
+VirtualRig SimulateOptions::RigAgain(const std::filesystem::path& rig_file, std::uint64_t seed) {
+  if (!rig_.empty()) rig_ = rig_file.string();
+  return Rig(seed);
+}
+
 void SimulateOptions::ApplyTo(Scenario& scenario) const {
   if (auto* specimen = std::get_if<SpecimenOptions>(&scenario.surface)) {
     // As many frames and as fast as it may be, the last one has the full deformation.
@@ -300,6 +315,7 @@ void SimulateOptions::ApplyTo(Scenario& scenario) const {
   Set(right_delay_ms_, scenario.right_delay_s, 1e-3);
   Set(psf_, scenario.render.psf_sigma_px);
   Set(samples_, scenario.render.samples_per_px);
+  Set(brightness_, scenario.render.full_scale_grey);
   Set(flicker_, scenario.lighting.flicker);
   Set(vignetting_, scenario.lighting.vignetting);
   Set(ambient_, scenario.lighting.ambient);
@@ -318,7 +334,7 @@ void SimulateOptions::ApplyToTyre(Scenario& scenario) const {
   auto* tyre = std::get_if<TyreOptions>(&scenario.surface);
   if (tyre == nullptr) {
     if (speed_m_s_ || speed_swing_m_s_ || start_mm_ || slip_ratio_ || slip_angle_deg_ ||
-        flexure_deg_ || vehicle_pitch_) {
+        flexure_deg_ || vehicle_pitch_ != "auto") {
       throw UsageError(fmt::format(
           "There is no tyre in the scenario '{}': leave out --speed, --speed-swing, --start, "
           "--slip-ratio, --slip-angle, --flexure and --vehicle-pitch.",
@@ -332,7 +348,9 @@ void SimulateOptions::ApplyToTyre(Scenario& scenario) const {
   Set(slip_ratio_, tyre->slip_ratio);
   Set(slip_angle_deg_, tyre->slip_angle_rad, kDegree);
   Set(flexure_deg_, scenario.motion.flexure_rad_per_m_s2, kDegree);
-  if (vehicle_pitch_) scenario.motion.wheelbase_mm = 2794;
+  if (vehicle_pitch_ != "auto") {
+    scenario.motion.wheelbase_mm = vehicle_pitch_ == "on" ? kWheelbase_mm : 0;
+  }
 }
 
 RecordingOptions SimulateOptions::Recording(const Scenario& scenario, std::uint64_t seed) const {
@@ -359,6 +377,7 @@ RecordingOptions SimulateOptions::Recording(const Scenario& scenario, std::uint6
                                        : wide          ? "charuco:11x8:12mm:9mm:DICT_5X5_100"
                                                        : "donut-dots:14x10:7mm");
   photographs.print.white_on_black = white_on_black_;
+  photographs.print.background = scenario.render.background_albedo;
   photographs.flaws = {.bend_mm = bend_mm_, .misprint_mm = misprint_mm_, .seed = seed};
   photographs.poses.style =
       careless_ ? BoardPoseOptions::Style::kCareless : BoardPoseOptions::Style::kCareful;
@@ -386,7 +405,7 @@ VirtualRig ReopenVirtualRig(const std::string& folder) {
   table.Add({.name = "threads", .help = "how many threads were used"}, &threads);
   table.ReadRecipe(recipe);
   table.Finish();
-  return options.Rig(seed);
+  return options.RigAgain(std::filesystem::path(folder) / "rig.h5", seed);
 }
 
 }  // namespace plumbline::internal

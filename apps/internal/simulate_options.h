@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
@@ -21,6 +22,9 @@ class SimulateOptions {
 
   // Throws UsageError.
   VirtualRig Rig(std::uint64_t seed) const;
+  // The same for a recording that was written: cameras that came from a file, which may be
+  // somewhere else by now, are read from the recording's own rig file.
+  VirtualRig RigAgain(const std::filesystem::path& rig_file, std::uint64_t seed);
   RecordingOptions Recording(const Scenario& scenario, std::uint64_t seed) const;
 
  private:
@@ -37,14 +41,13 @@ class SimulateOptions {
   std::optional<double> lens_mm_, pixel_um_, baseline_mm_, distance_mm_;
   std::optional<int> frame_count_, samples_, bits_, step_;
   std::optional<double> fps_, exposure_ms_, right_delay_ms_;
-  std::optional<double> gain_, read_noise_, psf_, flicker_, vignetting_, ambient_;
+  std::optional<double> gain_, read_noise_, psf_, brightness_, flicker_, vignetting_, ambient_;
   std::optional<double> speckle_mm_, speckle_coverage_, speckle_edge_;
   bool noise_free_ = false;
 
   std::optional<double> speed_m_s_, speed_swing_m_s_, slip_ratio_, slip_angle_deg_, start_mm_;
   std::optional<double> flexure_deg_, vibration_deg_;
-  std::string mounting_deg_;
-  bool vehicle_pitch_ = false;
+  std::string mounting_deg_, vehicle_pitch_ = "auto";
   double channel_rate_hz_ = 200, channel_offset_s_ = 0.237;
 
   int calibration_pairs_ = 0;

@@ -103,12 +103,24 @@ void WriteTimestamps(const fs::path& file, const VirtualRig& rig, const std::vec
   internal::WriteBytes(file, times);
 }
 
+// Where the points of the board really are, in its own frame: bent and misprinted.
+void WriteBoard(const fs::path& file, const CalibrationPhotographs& photographs) {
+  const BoardSurface board(photographs.board, photographs.print, photographs.flaws, Rigid3());
+  std::string points = "id,x_mm,y_mm,z_mm\n";
+  for (int id = 0; id < photographs.board.PointCount(); ++id) {
+    const Eigen::Vector3d p = board.PointAsMade(id);
+    points += fmt::format("{},{:.6f},{:.6f},{:.6f}\n", id, p.x(), p.y(), p.z());
+  }
+  internal::WriteBytes(file, points);
+}
+
 // False when it was stopped.
 bool WritePhotographs(const VirtualRig& rig, const fs::path& folder,
                       const CalibrationPhotographs& photographs, const std::vector<Rigid3>& poses,
                       const RecordingProgress& progress, Recording* recording) {
   const Scenario& scenario = rig.scenario();
   PairWriter writer(folder / "calibration", scenario, RecordingOptions::Images::kPng);
+  WriteBoard(folder / "calibration" / "board.csv", photographs);
   recording->files.push_back(folder / "calibration");
   const int total = static_cast<int>(poses.size());
   for (int k = 0; k < total; ++k) {
@@ -154,6 +166,9 @@ Recording WriteRecording(const VirtualRig& rig, const fs::path& folder,
   if (options.images != RecordingOptions::Images::kPng && scenario.sensor.bits > 8) {
     throw UsageError("Videos hold 8 bits a pixel; write PNG images to keep more.");
   }
+  if (options.images != RecordingOptions::Images::kPng) {
+    VideoWriter::CheckRate(scenario.frames_per_second);
+  }
   std::vector<Rigid3> poses;
   if (options.calibration) {
     const CalibrationPhotographs& c = *options.calibration;
@@ -168,6 +183,12 @@ Recording WriteRecording(const VirtualRig& rig, const fs::path& folder,
   internal::WriteBytes(recording.files[0], options.recipe_toml);
   RigFileExtras extras;
   extras.recipe_toml = options.recipe_toml;
+  extras.arrays.push_back({"working_distance",
+                           "mm",
+                           "distance of the surface from the cameras, in the middle of the view",
+                           {},
+                           {scenario.distance_mm},
+                           {}});
   WriteRigFile(recording.files[1], scenario.rig, extras);
   if (options.calibration &&
       !WritePhotographs(rig, folder, *options.calibration, poses, progress, &recording)) {

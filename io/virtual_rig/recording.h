@@ -47,7 +47,8 @@ using RecordingProgress = std::function<bool(const std::string& stage, int done,
 //                       left.mkv right.mkv
 //   timestamps.csv      for --timestamps
 //   channels.csv        what the vehicle logged (tyre only)
-//   calibration/left calibration/right
+//   calibration/left calibration/right calibration/board.csv
+//                       photographs of the board, and where its points really are on it (mm)
 //   rig.h5              the true cameras, without uncertainty
 //   truth.h5            docs/file_format.md
 //   recipe.toml         all settings: the same recipe makes the same images again

@@ -185,6 +185,8 @@ Scenario Make(const Listed& listed, const StereoRig& rig, double distance_mm) {
     // From the wheel's centre: the inner surface's crown lies a radius below.
     s.ground_from_rig.translation_mm.z() -= Tyre(s).section.crown_radius_mm;
   }
+  // The material ends without a rim.
+  s.speckle.background = s.render.background_albedo;
   s.speckle.diameter_mm = kSpeckle_px * distance_mm / rig.left.parameters()[0];
   const double between_mm = rig.right_from_left.Inverse().translation_mm.x();
   s.lighting.leds_in_rig_mm = {{-45, 0, 0}, {between_mm + 45, 0, 0}};

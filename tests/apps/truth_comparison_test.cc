@@ -58,6 +58,22 @@ TEST(TruthComparison, TakesOutTheRigidMotionForTheShapeOnly) {
   EXPECT_NEAR(comparison.rms_shape_mm, 0.01, 0.002);
 }
 
+// Twenty wrong points in thousands: the root mean square tells of them, the rest is as before.
+TEST(TruthComparison, FewWrongPointsDoNotTurnAllOthers) {
+  Measured measured(0.01, 0.01);
+  int wrong = 0;
+  for (std::size_t i = 0; i < measured.frame.surface.status.pixel_count() && wrong < 20; ++i) {
+    if (measured.frame.surface.status.data()[i] != Status::kOk) continue;
+    measured.frame.surface.position_mm.data()[i].z() += 60;
+    ++wrong;
+  }
+  ASSERT_EQ(wrong, 20);
+  const TruthComparison comparison = measured.Compare();
+  EXPECT_GT(comparison.rms_height_mm, 2);
+  EXPECT_NEAR(comparison.median_height_error_mm, 0.6745 * 0.01, 0.001);
+  EXPECT_NEAR(comparison.within_one_sigma, 0.683, 0.03);
+}
+
 TEST(TruthComparison, CountsPointsWithoutASurface) {
   Scenario scenario = MakeScenario("still", RigKind::kWide640);  // smaller than the view
   const VirtualRig rig(scenario);
