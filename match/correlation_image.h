@@ -1,0 +1,77 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <vector>
+
+#include "calib/image.h"
+
+namespace plumbline {
+
+// The spline through the grey levels: cubic (16 coefficients a value) or quintic (36).
+enum class Interpolation : std::uint8_t { kCubic = 3, kQuintic = 5 };
+
+struct CorrelationImageOptions {
+  Interpolation interpolation = Interpolation::kQuintic;
+  // Standard deviation of a Gaussian over the grey levels, before everything else; 0: none. It
+  // takes away the frequencies that no spline can interpolate, from speckle with sharp edges and
+  // from noise. docs/correlation.md shows what it is worth.
+  double prefilter_sigma_px = 0.6;
+
+  // Throws UsageError naming the broken constraint.
+  void Check() const;
+};
+
+// An image made ready for correlation: filtered grey levels, their gradients, and the coefficients
+// of the interpolating spline. About 28 bytes a pixel. Immutable and thread-safe.
+//
+// Source of the spline: Unser, "Splines: a perfect fit for signal and image processing", IEEE
+// Signal Processing Magazine 16(6), 1999. Borders are mirrored.
+class CorrelationImage {
+ public:
+  // Throws UsageError as CorrelationImageOptions::Check(), InputError for an image without pixels.
+  CorrelationImage(const GrayImage& image, const CorrelationImageOptions& options = {});
+
+  ImageSize size() const { return grey_.size(); }
+  int max_level() const { return max_level_; }
+  const CorrelationImageOptions& options() const { return options_; }
+
+  // At the pixels: the filtered grey levels and the exact derivatives of their spline.
+  const Image<float>& grey() const { return grey_; }
+  const Image<float>& gradient_x() const { return gradient_x_; }
+  const Image<float>& gradient_y() const { return gradient_y_; }
+  // The gradients filtered once more: the weights with which the noise of the raw pixels enters
+  // sums of gradient times filtered grey level. The gradients themselves where there is no filter.
+  const Image<float>& noise_gradient_x() const { return Filtered() ? noise_x_ : gradient_x_; }
+  const Image<float>& noise_gradient_y() const { return Filtered() ? noise_y_ : gradient_y_; }
+
+  // The spline at a place of the image, mirrored beyond it. Slow: for checks, not for correlation.
+  double Value(const Eigen::Vector2d& pixel) const;
+
+  // The share of white noise's variance that is left in the grey level at fractions (x, y) of a
+  // pixel, after the filter and the interpolation.
+  double NoiseShare(double fraction_x, double fraction_y) const;
+  // Its mean over all fractions.
+  double MeanNoiseShare() const;
+
+  // Spline coefficients, with a mirrored margin of kMargin on all sides: the one of pixel (x, y) is
+  // at [y * stride + x].
+  static constexpr int kMargin = 24;
+  const float* coefficients() const {
+    return coefficients_.data() + kMargin * static_cast<std::ptrdiff_t>(stride_) + kMargin;
+  }
+  std::ptrdiff_t stride() const { return stride_; }
+  int degree() const { return static_cast<int>(options_.interpolation); }
+
+ private:
+  bool Filtered() const { return options_.prefilter_sigma_px > 0; }
+
+  CorrelationImageOptions options_;
+  int max_level_ = 255;
+  Image<float> grey_, gradient_x_, gradient_y_, noise_x_, noise_y_;
+  std::ptrdiff_t stride_ = 0;
+  std::vector<float> coefficients_;
+  std::vector<double> noise_energy_;  // along one axis, by fraction of a pixel, 0 to 1
+};
+
+}  // namespace plumbline

@@ -1,0 +1,47 @@
+#pragma once
+
+#include <vector>
+
+#include "calib/image.h"
+
+namespace plumbline::internal {
+
+// B-splines of degree 3 and 5 on a regular grid of samples.
+// Source: Unser, "Splines: a perfect fit for signal and image processing", IEEE Signal Processing
+// Magazine 16(6), 1999, sections on digital filters (poles, mirrored borders).
+
+// Coefficients that a value between samples is made of.
+constexpr int SplineTaps(int degree) { return degree + 1; }
+
+// Weights of the coefficients floor(x) - (degree - 1) / 2 ... for the value at x, fraction t in
+// [0, 1]; and those of the derivative by x.
+void SplineWeights(int degree, double t, double* weights);
+void SplineSlopeWeights(int degree, double t, double* weights);
+
+// The weights by powers of s = t - 1/2: tap k has sum_i even[k][i] s^(2 i) + s sum_i odd[k][i] s^(2
+// i), and its mirror image, tap degree - k, the same with the minus sign. For the first half of the
+// taps; (degree + 1) / 2 numbers each.
+struct SplineHalfWeights {
+  float even[3][3];
+  float odd[3][3];
+};
+SplineHalfWeights HalfWeights(int degree);
+
+// Samples to coefficients, in place, mirrored about the border samples. Uses all threads, the same
+// for any number of them. An axis of one sample is left as it is.
+void SamplesToCoefficients(int degree, Image<float>& image);
+
+// The samples of the spline that has these coefficients, filtered along x by `along_x` and along y
+// by `along_y` (odd numbers of taps, correlation, mirrored borders).
+Image<float> FilterSeparably(const Image<float>& image, const std::vector<float>& along_x,
+                             const std::vector<float>& along_y);
+
+// Normalised taps of a Gaussian, cut at 4 sigma; one tap for sigma 0.
+std::vector<float> GaussianTaps(double sigma_px);
+
+// Energy sum_k phi(t - k)^2 of the weights that the samples k have in a value at fraction t, for
+// samples that are filtered by `taps` first: what interpolation leaves of white noise's variance,
+// along one axis.
+double NoiseEnergy(int degree, const std::vector<float>& taps, double t);
+
+}  // namespace plumbline::internal

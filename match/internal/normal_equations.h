@@ -1,0 +1,64 @@
+#pragma once
+
+#include <Eigen/Core>
+
+#include "match/internal/subset_sums.h"
+#include "match/subset_warp.h"
+
+namespace plumbline::internal {
+
+// Unknowns of a shape function: its terms along x, then those along y. At most 12.
+using ShapeVector = Eigen::Matrix<double, Eigen::Dynamic, 1, 0, 12, 1>;
+using ShapeMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 12, 12>;
+
+// The least-squares problem of one subset, g = gain (f + J delta) + offset: everything that does
+// not depend on the deformed image.
+//
+// J~ is J with its projections on 1 and f - mean(f) taken out, so that gain and offset are free:
+//   J~ = J - mean(J) - slope (f - mean(f)),   H~ = sum J~ J~'.
+class NormalEquations {
+ public:
+  NormalEquations(int order, int pixel_count, const ReferenceSums& reference,
+                  const ProductSums& products);
+
+  // False where the subset says nothing about some unknown.
+  bool solvable() const { return solvable_; }
+
+  // What the deformed image says.
+  struct Fit {
+    double zncc = 0;
+    double gain = 0;
+    double mean = 0;       // of g
+    double residual = 0;   // sum of squares that the fit leaves, in grey levels of g
+    ShapeVector gradient;  // sum J~ g
+  };
+  Fit Evaluate(const TargetSums& target) const;
+
+  // The step to take, damped by lambda times the diagonal of H~. False where the gain would not be
+  // positive.
+  bool Step(const Fit& fit, double lambda, SubsetWarp& step) const;
+
+  // H~^-1 M~ H~^-1 per variance of a raw pixel; `noise` are the products of the gradients filtered
+  // once more, or null where there is no filter.
+  ShapeMatrix CovariancePerVariance(const ProductSums* noise) const;
+
+  // Mean square shift of the subset's pixels by a step, for squares of this radius.
+  static double MeanSquareShift(const SubsetWarp& step, double radius_px);
+
+  int unknowns() const { return 2 * terms_; }
+  double mean() const { return mean_; }  // of f
+
+ private:
+  ShapeMatrix Assemble(const ProductSums& products) const;
+
+  int order_, terms_;
+  double count_;
+  double mean_ = 0, energy_ = 0;  // of f
+  ShapeVector mean_gradient_, slope_;
+  ShapeMatrix full_, information_;
+  ShapeVector scale_;   // 1 / sqrt of the diagonal
+  ShapeMatrix factor_;  // Cholesky factor of the scaled information, lower
+  bool solvable_ = false;
+};
+
+}  // namespace plumbline::internal

@@ -1,0 +1,323 @@
+#include "match/internal/subset_sums.h"
+
+#include <cstdint>
+
+#include "match/internal/bspline.h"
+
+#undef HWY_TARGET_INCLUDE
+#define HWY_TARGET_INCLUDE "match/internal/subset_sums.cc"
+#include <hwy/foreach_target.h>
+// Highway's own header comes after the one that compiles this file once an instruction set.
+#include <hwy/highway.h>
+
+HWY_BEFORE_NAMESPACE();
+namespace plumbline::internal::HWY_NAMESPACE {
+
+namespace hn = hwy::HWY_NAMESPACE;
+
+// At most kRun floats a vector, so that a run is a whole number of them.
+using D = hn::CappedTag<float, PackedSubset::kRun>;
+using DI = hn::RebindToSigned<D>;
+using V = hn::Vec<D>;
+
+inline double Total(V v) { return static_cast<double>(hn::GetLane(hn::SumOfLanes(D(), v))); }
+
+// Sums v m_k over the subset, for all monomials up to a degree: first by powers of x along a row,
+// then by powers of y.
+template <int kDegree>
+class MomentSums {
+ public:
+  MomentSums() {
+    for (V& sum : along_row_) sum = hn::Zero(D());
+    for (V& sum : sums_) sum = hn::Zero(D());
+  }
+  HWY_INLINE void Add(V v, V x) {
+    along_row_[0] = hn::Add(along_row_[0], v);
+    if constexpr (kDegree >= 1) along_row_[1] = hn::MulAdd(v, x, along_row_[1]);
+    if constexpr (kDegree >= 2) {
+      V power = hn::Mul(x, x);
+      for (int k = 2; k <= kDegree; ++k) {
+        along_row_[k] = hn::MulAdd(v, power, along_row_[k]);
+        if (k < kDegree) power = hn::Mul(power, x);
+      }
+    }
+  }
+  HWY_INLINE void EndRow(float y) {
+    // Monomials of degree n stand in the order x^n, x^(n-1) y, ...
+    int place = 0;
+    for (int n = 0; n <= kDegree; ++n) {
+      float power = 1;
+      for (int j = 0; j <= n; ++j, ++place, power *= y) {
+        sums_[place] = hn::MulAdd(along_row_[n - j], hn::Set(D(), power), sums_[place]);
+      }
+    }
+    for (V& sum : along_row_) sum = hn::Zero(D());
+  }
+  void Store(double* to) const {
+    for (int k = 0; k < kTerms; ++k) to[k] = Total(sums_[k]);
+  }
+
+ private:
+  static constexpr int kTerms = (kDegree + 1) * (kDegree + 2) / 2;
+  V along_row_[kDegree + 1];
+  V sums_[kTerms];
+};
+
+template <typename Visit>
+HWY_INLINE void ForEachVector(const PackedSubset::Row& row, const Visit& visit) {
+  const D d;
+  const V iota = hn::Iota(d, static_cast<float>(row.x));
+  for (int i = 0; i < row.runs * PackedSubset::kRun; i += static_cast<int>(hn::Lanes(d))) {
+    visit(row.at + static_cast<std::size_t>(i), hn::Add(iota, hn::Set(d, static_cast<float>(i))));
+  }
+}
+
+template <int kOrder>
+ReferenceSums ReferenceOfOrder(const PackedSubset& subset) {
+  const D d;
+  V f_sum = hn::Zero(d);
+  V ff_sum = hn::Zero(d);
+  MomentSums<kOrder> gradient_x, gradient_y, f_gradient_x, f_gradient_y;
+  for (const PackedSubset::Row& row : subset.rows) {
+    ForEachVector(row, [&](std::size_t at, V x) HWY_ATTR {
+      const V f = hn::Load(d, subset.grey.data() + at);
+      const V gx = hn::Load(d, subset.gradient_x.data() + at);
+      const V gy = hn::Load(d, subset.gradient_y.data() + at);
+      f_sum = hn::Add(f_sum, f);
+      ff_sum = hn::MulAdd(f, f, ff_sum);
+      gradient_x.Add(gx, x);
+      gradient_y.Add(gy, x);
+      f_gradient_x.Add(hn::Mul(f, gx), x);
+      f_gradient_y.Add(hn::Mul(f, gy), x);
+    });
+    gradient_x.EndRow(row.y);
+    gradient_y.EndRow(row.y);
+    f_gradient_x.EndRow(row.y);
+    f_gradient_y.EndRow(row.y);
+  }
+  ReferenceSums sums;
+  sums.f = Total(f_sum);
+  sums.ff = Total(ff_sum);
+  gradient_x.Store(sums.gradient_x);
+  gradient_y.Store(sums.gradient_y);
+  f_gradient_x.Store(sums.f_gradient_x);
+  f_gradient_y.Store(sums.f_gradient_y);
+  return sums;
+}
+
+template <int kOrder>
+ProductSums ProductsOfOrder(const PackedSubset& subset, const float* gradient_x,
+                            const float* gradient_y) {
+  const D d;
+  MomentSums<2 * kOrder> xx, xy, yy;
+  for (const PackedSubset::Row& row : subset.rows) {
+    ForEachVector(row, [&](std::size_t at, V x) HWY_ATTR {
+      const V gx = hn::Load(d, gradient_x + at);
+      const V gy = hn::Load(d, gradient_y + at);
+      xx.Add(hn::Mul(gx, gx), x);
+      xy.Add(hn::Mul(gx, gy), x);
+      yy.Add(hn::Mul(gy, gy), x);
+    });
+    xx.EndRow(row.y);
+    xy.EndRow(row.y);
+    yy.EndRow(row.y);
+  }
+  ProductSums sums;
+  xx.Store(sums.xx);
+  xy.Store(sums.xy);
+  yy.Store(sums.yy);
+  return sums;
+}
+
+// Weights of all taps along one axis; s = fraction - 1/2.
+template <int kDegree>
+HWY_INLINE void Weights(const SplineHalfWeights& half, V s, V* weights) {
+  const D d;
+  const V ss = hn::Mul(s, s);
+  for (int k = 0; k <= kDegree / 2; ++k) {
+    V even = hn::MulAdd(hn::Set(d, half.even[k][1]), ss, hn::Set(d, half.even[k][0]));
+    V odd = hn::MulAdd(hn::Set(d, half.odd[k][1]), ss, hn::Set(d, half.odd[k][0]));
+    if constexpr (kDegree == 5) {
+      const V s4 = hn::Mul(ss, ss);
+      even = hn::MulAdd(hn::Set(d, half.even[k][2]), s4, even);
+      odd = hn::MulAdd(hn::Set(d, half.odd[k][2]), s4, odd);
+    }
+    weights[k] = hn::MulAdd(s, odd, even);
+    weights[kDegree - k] = hn::NegMulAdd(s, odd, even);
+  }
+}
+
+// The spline at consecutive pixels; `corner` is the first coefficient of the first lane.
+template <int kDegree>
+HWY_INLINE V Interpolate(const float* HWY_RESTRICT corner, std::ptrdiff_t stride, const V* along_x,
+                         const V* along_y) {
+  const D d;
+  V value = hn::Zero(d);
+  for (int j = 0; j <= kDegree; ++j) {
+    V row = hn::Mul(along_x[0], hn::LoadU(d, corner));
+    for (int i = 1; i <= kDegree; ++i) row = hn::MulAdd(along_x[i], hn::LoadU(d, corner + i), row);
+    value = hn::MulAdd(along_y[j], row, value);
+    corner += stride;
+  }
+  return value;
+}
+
+// Lanes whose pixels do not lie side by side: one group of those that do after the other.
+template <int kDegree>
+HWY_NOINLINE V InterpolateApart(const TargetPixels& target, hn::Vec<DI> column, hn::Vec<DI> row,
+                                hn::Mask<D> wanted, const V* along_x, const V* along_y) {
+  const D d;
+  const DI di;
+  HWY_ALIGN std::int32_t columns[PackedSubset::kRun];
+  HWY_ALIGN std::int32_t rows[PackedSubset::kRun];
+  hn::Store(column, di, columns);
+  hn::Store(row, di, rows);
+  V value = hn::Zero(d);
+  hn::Mask<D> left = wanted;
+  for (std::intptr_t lane = hn::FindFirstTrue(d, left); lane >= 0;
+       lane = hn::FindFirstTrue(d, left)) {
+    const hn::Mask<DI> together =
+        hn::And(hn::Eq(column, hn::Set(di, columns[lane])), hn::Eq(row, hn::Set(di, rows[lane])));
+    const hn::Mask<D> group = hn::And(hn::RebindMask(d, together), left);
+    constexpr int kBefore = (kDegree - 1) / 2;
+    const float* corner =
+        target.coefficients + (rows[lane] - kBefore) * target.stride + columns[lane] - kBefore;
+    value =
+        hn::IfThenElse(group, Interpolate<kDegree>(corner, target.stride, along_x, along_y), value);
+    left = hn::AndNot(group, left);
+  }
+  return value;
+}
+
+// The rows' polynomials in x of the warped coordinate.
+template <int kOrder>
+HWY_INLINE V Warped(const float* warp, float y, V x) {
+  const D d;
+  if constexpr (kOrder == 0)
+    return hn::Add(hn::MulAdd(x, hn::Set(d, warp[1]), hn::Set(d, warp[0])),
+                   hn::Set(d, warp[2] * y));
+  const float constant = warp[0] + y * (warp[2] + y * warp[5]);
+  const float linear = warp[1] + y * warp[4];
+  V value = hn::MulAdd(x, hn::Set(d, linear), hn::Set(d, constant));
+  if constexpr (kOrder == 2) {
+    value = hn::MulAdd(hn::Mul(x, x), hn::Set(d, warp[3]), value);
+  }
+  return value;
+}
+
+template <int kOrder, int kDegree>
+TargetSums TargetOfOrder(const PackedSubset& subset, const TargetPixels& target) {
+  static const SplineHalfWeights kHalf = HalfWeights(kDegree);
+  const SplineHalfWeights half = kHalf;
+  const D d;
+  const DI di;
+  const hn::Vec<DI> lanes = hn::Iota(di, 0);
+  const V offset = hn::Set(d, target.grey_offset);
+  constexpr int kBefore = (kDegree - 1) / 2;
+  V g_sum = hn::Zero(d);
+  V gg_sum = hn::Zero(d);
+  V fg_sum = hn::Zero(d);
+  MomentSums<kOrder> gradient_x, gradient_y;
+  for (const PackedSubset::Row& row : subset.rows) {
+    ForEachVector(row, [&](std::size_t at, V x) HWY_ATTR {
+      const V weight = hn::Load(d, subset.weight.data() + at);
+      const V to_x = Warped<kOrder>(target.warp_x, row.y, x);
+      const V to_y = Warped<kOrder>(target.warp_y, row.y, x);
+      const V floor_x = hn::Floor(to_x);
+      const V floor_y = hn::Floor(to_y);
+      const V half_pixel = hn::Set(d, 0.5F);
+      V along_x[kDegree + 1];
+      V along_y[kDegree + 1];
+      Weights<kDegree>(half, hn::Sub(hn::Sub(to_x, floor_x), half_pixel), along_x);
+      Weights<kDegree>(half, hn::Sub(hn::Sub(to_y, floor_y), half_pixel), along_y);
+      // Columns less the lane: the same in all lanes whose pixels lie side by side.
+      const hn::Vec<DI> column = hn::Sub(hn::ConvertTo(di, floor_x), lanes);
+      const hn::Vec<DI> line = hn::ConvertTo(di, floor_y);
+      const std::int32_t first_column = hn::GetLane(column);
+      const std::int32_t first_line = hn::GetLane(line);
+      const hn::Mask<D> apart = hn::RebindMask(d, hn::Or(hn::Ne(column, hn::Set(di, first_column)),
+                                                         hn::Ne(line, hn::Set(di, first_line))));
+      const hn::Mask<D> wanted = hn::Gt(weight, hn::Zero(d));
+      V g;
+      if (HWY_LIKELY(hn::AllFalse(d, hn::And(apart, wanted)) &&
+                     hn::FindFirstTrue(d, wanted) == 0)) {
+        const float* corner =
+            target.coefficients + (first_line - kBefore) * target.stride + first_column - kBefore;
+        g = Interpolate<kDegree>(corner, target.stride, along_x, along_y);
+      } else {
+        g = InterpolateApart<kDegree>(target, column, line, wanted, along_x, along_y);
+      }
+      g = hn::Mul(hn::Sub(g, offset), weight);
+      const V f = hn::Load(d, subset.grey.data() + at);
+      g_sum = hn::Add(g_sum, g);
+      gg_sum = hn::MulAdd(g, g, gg_sum);
+      fg_sum = hn::MulAdd(f, g, fg_sum);
+      gradient_x.Add(hn::Mul(g, hn::Load(d, subset.gradient_x.data() + at)), x);
+      gradient_y.Add(hn::Mul(g, hn::Load(d, subset.gradient_y.data() + at)), x);
+    });
+    gradient_x.EndRow(row.y);
+    gradient_y.EndRow(row.y);
+  }
+  TargetSums sums;
+  sums.g = Total(g_sum);
+  sums.gg = Total(gg_sum);
+  sums.fg = Total(fg_sum);
+  gradient_x.Store(sums.gradient_x);
+  gradient_y.Store(sums.gradient_y);
+  return sums;
+}
+
+ReferenceSums ReferenceHere(const PackedSubset& subset, int order) {
+  return order == 0   ? ReferenceOfOrder<0>(subset)
+         : order == 1 ? ReferenceOfOrder<1>(subset)
+                      : ReferenceOfOrder<2>(subset);
+}
+
+ProductSums ProductsHere(const PackedSubset& subset, const float* x, const float* y, int order) {
+  return order == 0   ? ProductsOfOrder<0>(subset, x, y)
+         : order == 1 ? ProductsOfOrder<1>(subset, x, y)
+                      : ProductsOfOrder<2>(subset, x, y);
+}
+
+template <int kDegree>
+TargetSums TargetOfDegree(const PackedSubset& subset, const TargetPixels& target, int order) {
+  return order == 0   ? TargetOfOrder<0, kDegree>(subset, target)
+         : order == 1 ? TargetOfOrder<1, kDegree>(subset, target)
+                      : TargetOfOrder<2, kDegree>(subset, target);
+}
+
+TargetSums TargetHere(const PackedSubset& subset, const TargetPixels& target, int order) {
+  return target.degree == 3 ? TargetOfDegree<3>(subset, target, order)
+                            : TargetOfDegree<5>(subset, target, order);
+}
+
+const char* NameHere() { return hwy::TargetName(HWY_TARGET); }
+
+}  // namespace plumbline::internal::HWY_NAMESPACE
+HWY_AFTER_NAMESPACE();
+
+#if HWY_ONCE
+namespace plumbline::internal {
+
+HWY_EXPORT(ReferenceHere);
+HWY_EXPORT(ProductsHere);
+HWY_EXPORT(TargetHere);
+HWY_EXPORT(NameHere);
+
+ReferenceSums SumReference(const PackedSubset& subset, int order) {
+  return HWY_DYNAMIC_DISPATCH(ReferenceHere)(subset, order);
+}
+
+ProductSums SumProducts(const PackedSubset& subset, const AlignedFloats& x, const AlignedFloats& y,
+                        int order) {
+  return HWY_DYNAMIC_DISPATCH(ProductsHere)(subset, x.data(), y.data(), order);
+}
+
+TargetSums SumTarget(const PackedSubset& subset, const TargetPixels& target, int order) {
+  return HWY_DYNAMIC_DISPATCH(TargetHere)(subset, target, order);
+}
+
+const char* SumsInstructionSet() { return HWY_DYNAMIC_DISPATCH(NameHere)(); }
+
+}  // namespace plumbline::internal
+#endif

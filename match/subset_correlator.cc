@@ -1,0 +1,343 @@
+#include "match/subset_correlator.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <cmath>
+#include <stdexcept>
+
+#include "calib/error.h"
+#include "match/internal/normal_equations.h"
+#include "match/internal/subset_sums.h"
+
+namespace plumbline {
+namespace {
+
+using internal::NormalEquations;
+using internal::PackedSubset;
+using internal::ProductSums;
+using internal::ShapeMatrix;
+using internal::TargetPixels;
+
+// A drop of the correlation that cannot be rounding: the step is taken back and damped.
+constexpr double kWorse = 1e-4;
+
+// The pixel that a warp counts from, and the warp from there; nothing where some point of the
+// subset would leave the image.
+bool Aim(const CorrelationImage& deformed, const Eigen::Vector2i& pixel, const SubsetWarp& warp,
+         int radius, TargetPixels& target) {
+  const double r = radius;
+  if (!warp.c.allFinite() || warp.c.col(0).cwiseAbs().maxCoeff() > 1e6) return false;
+  const Eigen::Vector2d centre = pixel.cast<double>() + warp.displacement_px();
+  Eigen::Vector2d low = centre;
+  Eigen::Vector2d high = centre;
+  for (const double sx : {-r, r}) {
+    for (const double sy : {-r, r}) {
+      const Eigen::Vector2d corner =
+          centre + Eigen::Vector2d(sx, sy) + warp.gradient() * Eigen::Vector2d(sx, sy);
+      low = low.cwiseMin(corner);
+      high = high.cwiseMax(corner);
+    }
+  }
+  const Eigen::Vector2d bend = warp.c.rightCols<3>().cwiseAbs().rowwise().sum() * r * r;
+  low -= bend;
+  high += bend;
+  if (!(low.minCoeff() >= 0) || !(high.x() <= deformed.size().width - 1) ||
+      !(high.y() <= deformed.size().height - 1)) {
+    return false;
+  }
+  const Eigen::Vector2d base = centre.array().floor();
+  target.coefficients = deformed.coefficients() +
+                        static_cast<std::ptrdiff_t>(base.y()) * deformed.stride() +
+                        static_cast<std::ptrdiff_t>(base.x());
+  target.stride = deformed.stride();
+  target.degree = deformed.degree();
+  for (int k = 0; k < 6; ++k) {
+    target.warp_x[k] = static_cast<float>(warp.c(0, k) + (k == 1 ? 1 : 0));
+    target.warp_y[k] = static_cast<float>(warp.c(1, k) + (k == 2 ? 1 : 0));
+  }
+  target.warp_x[0] = static_cast<float>(centre.x() - base.x());
+  target.warp_y[0] = static_cast<float>(centre.y() - base.y());
+  return true;
+}
+
+// Mean over the subset of what interpolation leaves of the noise under a warp.
+double TargetNoiseShare(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
+                        const SubsetWarp& warp, double radius) {
+  if (warp.gradient().cwiseAbs().maxCoeff() * radius > 0.5) return deformed.MeanNoiseShare();
+  const Eigen::Vector2d centre = pixel.cast<double>();
+  double sum = 0;
+  for (int j = -1; j <= 1; ++j) {
+    for (int i = -1; i <= 1; ++i) {
+      const Eigen::Vector2d at = centre + warp.Apply(Eigen::Vector2d(i, j) * (radius * 2 / 3));
+      sum += deformed.NoiseShare(at.x(), at.y());
+    }
+  }
+  return sum / 9;
+}
+
+// Along the longest axis of the ellipse.
+double WorstSigma(const Eigen::Matrix2d& covariance) {
+  const double half_difference = (covariance(0, 0) - covariance(1, 1)) / 2;
+  return std::sqrt(covariance.trace() / 2 + std::hypot(half_difference, covariance(0, 1)));
+}
+
+}  // namespace
+
+void CorrelatorOptions::Check() const {
+  if (subset_px < 5 || subset_px > 255 || subset_px % 2 == 0) {
+    throw UsageError(
+        fmt::format("A subset is an odd number of pixels from 5 to 255; {} is not.", subset_px));
+  }
+  if (order < 0 || order > 2) {
+    throw UsageError(fmt::format("The shape function's order is 0, 1 or 2; {} is not.", order));
+  }
+  if (order == 2 && subset_px < 9) {
+    throw UsageError(fmt::format(
+        "A subset of {} px does not determine a second-order shape function: take 9 px or more.",
+        subset_px));
+  }
+  if (max_iterations < 1 || max_iterations > 255) {
+    throw UsageError(fmt::format("1 to 255 iterations are possible; {} is not.", max_iterations));
+  }
+  if (!(stop_px > 0)) throw UsageError("The step at which iterations stop has to be above 0 px.");
+  if (!(min_zncc >= 0 && min_zncc <= 1)) {
+    throw UsageError(fmt::format("The lowest correlation is 0 to 1; {} is not.", min_zncc));
+  }
+  if (!(max_sigma_px > 0)) throw UsageError("The largest sigma has to be above 0 px.");
+  if (!(min_pixel_share > 0 && min_pixel_share <= 1)) {
+    throw UsageError(fmt::format(
+        "The least share of a subset's pixels is above 0 up to 1; {} is not.", min_pixel_share));
+  }
+}
+
+struct SubsetCorrelator::Impl {
+  const CorrelationImage& reference;
+  CorrelatorOptions options;
+  const Image<std::uint8_t>* mask;
+  internal::SubsetOutline outline;
+  internal::ReferencePlanes planes;
+  bool filtered;
+  int full_count = 0;
+
+  // What is known of a subset before it is looked for.
+  struct Subset {
+    PackedSubset pixels;
+    int count = 0;
+    float offset = 0;
+  };
+
+  Status Take(const Eigen::Vector2i& pixel, Subset& subset) const;
+  SubsetMatch Search(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
+                     const SubsetWarp& start, const Subset& subset,
+                     const NormalEquations& equations, NormalEquations::Fit& fit) const;
+  double VarianceOf(const NormalEquations& equations, const NormalEquations::Fit& fit,
+                    const Subset& subset, const CorrelationImage& deformed,
+                    const Eigen::Vector2i& pixel, const SubsetWarp& warp) const;
+};
+
+SubsetCorrelator::SubsetCorrelator(const CorrelationImage& reference,
+                                   const CorrelatorOptions& options,
+                                   const Image<std::uint8_t>* mask) {
+  options.Check();
+  const ImageSize size = reference.size();
+  if (options.subset_px > std::min(size.width, size.height)) {
+    throw InputError(fmt::format("A subset of {} px does not fit into an image of {} x {} px.",
+                                 options.subset_px, size.width, size.height));
+  }
+  if (mask != nullptr && mask->size() != size) {
+    throw InputError(fmt::format("The mask has {} x {} px and the image {} x {}.", mask->width(),
+                                 mask->height(), size.width, size.height));
+  }
+  const int radius = options.radius_px();
+  auto impl = std::make_unique<Impl>(Impl{reference,
+                                          options,
+                                          mask,
+                                          options.shape == SubsetShape::kCircle
+                                              ? internal::SubsetOutline::Circle(radius)
+                                              : internal::SubsetOutline::Square(radius),
+                                          {},
+                                          reference.options().prefilter_sigma_px > 0});
+  for (std::size_t i = 0; i < impl->outline.begin.size(); ++i) {
+    impl->full_count += impl->outline.end[i] - impl->outline.begin[i];
+  }
+  impl->planes = {&reference.grey(),
+                  &reference.gradient_x(),
+                  &reference.gradient_y(),
+                  impl->filtered ? &reference.noise_gradient_x() : nullptr,
+                  impl->filtered ? &reference.noise_gradient_y() : nullptr,
+                  mask};
+  impl_ = std::move(impl);
+}
+
+SubsetCorrelator::~SubsetCorrelator() = default;
+
+const CorrelatorOptions& SubsetCorrelator::options() const { return impl_->options; }
+
+// kOk, or why there is nothing to look for.
+Status SubsetCorrelator::Impl::Take(const Eigen::Vector2i& pixel, Subset& subset) const {
+  const ImageSize size = reference.size();
+  if (pixel.x() < 0 || pixel.y() < 0 || pixel.x() >= size.width || pixel.y() >= size.height) {
+    return Status::kOutsideImage;
+  }
+  if (mask != nullptr && (*mask)(pixel.y(), pixel.x()) == 0) return Status::kMasked;
+  subset.offset = reference.grey()(pixel.y(), pixel.x());
+  subset.count =
+      internal::Pack(planes, outline, pixel.x(), pixel.y(), subset.offset, subset.pixels);
+  const int unknowns = 2 * internal::kShapeTerms[options.order] + 2;
+  if (subset.count < std::max(2.0 * unknowns, options.min_pixel_share * full_count)) {
+    const int r = options.radius_px();
+    const bool inside = pixel.x() >= r && pixel.y() >= r && pixel.x() + r < size.width &&
+                        pixel.y() + r < size.height;
+    return inside ? Status::kMasked : Status::kOutsideImage;
+  }
+  return Status::kOk;
+}
+
+SubsetMatch SubsetCorrelator::Impl::Search(const CorrelationImage& deformed,
+                                           const Eigen::Vector2i& pixel, const SubsetWarp& start,
+                                           const Subset& subset, const NormalEquations& equations,
+                                           NormalEquations::Fit& fit) const {
+  SubsetMatch match;
+  match.zncc = -1;
+  match.warp = start;  // the best so far
+  TargetPixels target;
+  target.grey_offset = subset.offset;
+  const double stop = options.stop_px * options.stop_px;
+  double lambda = 0;
+  SubsetWarp trial = start;
+  SubsetWarp step;
+  for (int i = 0; i < options.max_iterations; ++i) {
+    ++match.iterations;
+    const bool inside = Aim(deformed, pixel, trial, options.radius_px(), target);
+    if (!inside && i == 0) {
+      match.status = Status::kOutsideImage;
+      return match;
+    }
+    NormalEquations::Fit now;
+    if (inside) now = equations.Evaluate(SumTarget(subset.pixels, target, options.order));
+    if (inside && now.zncc > match.zncc - kWorse) {
+      match.warp = trial;
+      match.zncc = now.zncc;
+      fit = now;
+      lambda = lambda > 1e-4 ? lambda / 10 : 0;
+    } else if (lambda > 1e4) {
+      match.status = inside ? Status::kNotConverged : Status::kOutsideImage;
+      return match;
+    } else {
+      lambda = std::max(1e-2, 10 * lambda);
+    }
+    if (!equations.Step(fit, lambda, step)) {
+      match.status = Status::kLowCorrelation;
+      return match;
+    }
+    const double shift = NormalEquations::MeanSquareShift(step, options.radius_px());
+    const Eigen::Matrix2d bent = Eigen::Matrix2d::Identity() + step.gradient();
+    if (!(bent.determinant() > 0.01)) {
+      lambda = std::max(1e-1, 10 * lambda);
+      continue;
+    }
+    trial = Compose(match.warp, Inverse(step));
+    if (shift < stop) {
+      match.warp = trial;
+      match.status = Status::kOk;
+      return match;
+    }
+  }
+  match.status = Status::kNotConverged;
+  return match;
+}
+
+// Variance of a raw pixel's noise, both images' together, in grey levels of the reference.
+double SubsetCorrelator::Impl::VarianceOf(const NormalEquations& equations,
+                                          const NormalEquations::Fit& fit, const Subset& subset,
+                                          const CorrelationImage& deformed,
+                                          const Eigen::Vector2i& pixel,
+                                          const SubsetWarp& warp) const {
+  const double gain2 = fit.gain * fit.gain;
+  if (options.noise) {
+    const double grey = equations.mean() + static_cast<double>(subset.offset);
+    const double there = fit.mean + static_cast<double>(subset.offset);
+    return options.noise->Variance(grey) + kRoundingVarianceGrey2 +
+           (options.noise->Variance(there) + kRoundingVarianceGrey2) / gain2;
+  }
+  // Both images have the same noise; the unknowns take their share of the residual.
+  const double unknowns = equations.unknowns() + 2;
+  const double shares = (reference.NoiseShare(0, 0) * gain2 +
+                         TargetNoiseShare(deformed, pixel, warp, options.radius_px())) *
+                            subset.count -
+                        (gain2 + 1) * unknowns;
+  const double one_image = fit.residual / std::max(shares, 1.0);
+  return std::max(one_image, kRoundingVarianceGrey2) * (1 + 1 / gain2);
+}
+
+SubsetMatch SubsetCorrelator::Match(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
+                                    const SubsetWarp& start) const {
+  const Impl& impl = *impl_;
+  if (deformed.degree() != impl.reference.degree() ||
+      deformed.options().prefilter_sigma_px != impl.reference.options().prefilter_sigma_px) {
+    throw std::invalid_argument("SubsetCorrelator: both images are prepared with the same options");
+  }
+  static thread_local Impl::Subset subset;
+  SubsetMatch match;
+  match.status = impl.Take(pixel, subset);
+  if (match.status != Status::kOk) return match;
+  if (!start.c.allFinite()) {
+    match.status = Status::kNotConverged;
+    return match;
+  }
+  const int order = impl.options.order;
+  const NormalEquations equations(
+      order, subset.count, SumReference(subset.pixels, order),
+      SumProducts(subset.pixels, subset.pixels.gradient_x, subset.pixels.gradient_y, order));
+  if (!equations.solvable()) {
+    match.status = Status::kLowTexture;
+    return match;
+  }
+  NormalEquations::Fit fit;
+  match = impl.Search(deformed, pixel, start, subset, equations, fit);
+  if (match.status != Status::kOk) return match;
+  if (match.zncc < impl.options.min_zncc) {
+    match.status = Status::kLowCorrelation;
+    return match;
+  }
+  ProductSums noise;
+  if (impl.filtered) {
+    noise = SumProducts(subset.pixels, subset.pixels.noise_x, subset.pixels.noise_y, order);
+  }
+  const double variance = impl.VarianceOf(equations, fit, subset, deformed, pixel, match.warp);
+  const ShapeMatrix covariance =
+      variance * equations.CovariancePerVariance(impl.filtered ? &noise : nullptr);
+  const int terms = internal::kShapeTerms[order];
+  match.noise_grey = std::sqrt(variance / (1 + 1 / (fit.gain * fit.gain)));
+  match.cov_displacement_px2 << covariance(0, 0), covariance(0, terms), covariance(terms, 0),
+      covariance(terms, terms);
+  if (order > 0) {
+    const int places[4] = {1, 2, terms + 1, terms + 2};
+    for (int i = 0; i < 4; ++i) {
+      for (int k = 0; k < 4; ++k) match.cov_gradient(i, k) = covariance(places[i], places[k]);
+    }
+  }
+  if (!(WorstSigma(match.cov_displacement_px2) <= impl.options.max_sigma_px)) {
+    match.status = Status::kLowTexture;
+  }
+  return match;
+}
+
+double SubsetCorrelator::Zncc(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
+                              const SubsetWarp& warp) const {
+  static thread_local Impl::Subset subset;
+  TargetPixels target;
+  if (impl_->Take(pixel, subset) != Status::kOk ||
+      !Aim(deformed, pixel, warp, impl_->options.radius_px(), target)) {
+    return SubsetMatch::kNone;
+  }
+  target.grey_offset = subset.offset;
+  const internal::ReferenceSums f = SumReference(subset.pixels, 0);
+  const internal::TargetSums g = SumTarget(subset.pixels, target, 2);
+  const double n = subset.count;
+  const double norm = (f.ff - f.f * f.f / n) * (g.gg - g.g * g.g / n);
+  return norm > 0 ? (g.fg - f.f * g.g / n) / std::sqrt(norm) : SubsetMatch::kNone;
+}
+
+}  // namespace plumbline

@@ -1,0 +1,95 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <optional>
+
+#include "calib/image.h"
+#include "calib/status.h"
+#include "match/correlation_image.h"
+#include "match/noise_model.h"
+#include "match/subset_warp.h"
+
+namespace plumbline {
+
+enum class SubsetShape : std::uint8_t { kSquare, kCircle };
+
+struct CorrelatorOptions {
+  int subset_px = 33;  // side or diameter, odd, 5 to 255
+  SubsetShape shape = SubsetShape::kSquare;
+  int order = 1;              // of the shape function: 0, 1 or 2
+  int max_iterations = 20;    // sums over the deformed image
+  double stop_px = 0.001;     // rms shift of the subset's pixels by the last step
+  double min_zncc = 0.6;      // below: low_correlation
+  double max_sigma_px = 0.3;  // of the displacement, in its worst direction; above: low_texture
+  // Of the subset's pixels, inside of image and mask: below, the point is masked or outside_image.
+  double min_pixel_share = 0.5;
+  // Noise of both cameras' images. Without it the residual of each subset tells, which counts
+  // what the model does not explain as noise.
+  std::optional<NoiseModel> noise;
+
+  // Throws UsageError naming the broken constraint.
+  void Check() const;
+  int radius_px() const { return subset_px / 2; }
+};
+
+// One subset found again in the deformed image. NaN where status is not kOk, but for what the
+// search ended with: zncc and iterations.
+struct SubsetMatch {
+  Status status = Status::kNotConverged;
+  SubsetWarp warp;
+  Eigen::Matrix2d cov_displacement_px2 = Eigen::Matrix2d::Constant(kNone);
+  Eigen::Matrix4d cov_gradient = Eigen::Matrix4d::Constant(kNone);  // du/dx, du/dy, dv/dx, dv/dy
+  double zncc = kNone;
+  double noise_grey = kNone;  // standard deviation of a raw pixel that the sigmas are based on
+  int iterations = 0;
+
+  static constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+};
+
+// Inverse-compositional Gauss-Newton on the ZNSSD criterion: finds subsets of the reference image
+// in deformed images.
+//
+// Model: g(W(x)) = gain f(x) + offset over the pixels x of the subset, W the warp, f and g the
+// splines. Every step solves the linear least-squares problem for shape terms, gain and offset
+// together (Baker and Matthews, "Lucas-Kanade 20 years on", IJCV 56(3), 2004, section 3.2, with
+// gain and offset projected out) and composes the warp with the inverse of the result; where that
+// makes things worse the step is damped (Levenberg-Marquardt). The gradients are the reference's,
+// so that noise of the deformed image does not bias the result.
+//
+// Covariance: the estimate is linear in the noise of both images, delta = H^-1 sum_k J(k) n(k),
+// with the pre-filter's effect on both sides; so cov = H^-1 (sum J J' var n) H^-1, where the
+// weights of raw pixels are the gradients filtered once more. With white noise and no filter this
+// is the Cramer-Rao bound with gain and offset unknown. Rounding to whole levels counts as noise.
+//
+// Thread-safe; the images must outlive it.
+// Accuracy: tests/match/noise_limit_test.cc, docs/correlation.md.
+class SubsetCorrelator {
+ public:
+  // mask: of the reference, 0 for pixels that do not count; null: all do. Throws UsageError as
+  // CorrelatorOptions::Check(), InputError when the subset is larger than the image or the mask of
+  // another size.
+  SubsetCorrelator(const CorrelationImage& reference, const CorrelatorOptions& options,
+                   const Image<std::uint8_t>* mask = nullptr);
+  ~SubsetCorrelator();
+
+  const CorrelatorOptions& options() const;
+
+  // Finds the subset around a pixel of the reference (x, y), starting from a warp. Throws
+  // std::invalid_argument when the deformed image was not prepared with the reference's options.
+  SubsetMatch Match(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
+                    const SubsetWarp& start) const;
+
+  // Zero-normalised cross-correlation of the subset with the deformed image under a warp; NaN where
+  // that leaves the image.
+  double Zncc(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
+              const SubsetWarp& warp) const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<const Impl> impl_;
+};
+
+}  // namespace plumbline
