@@ -10,11 +10,15 @@
 namespace plumbline {
 namespace fs = std::filesystem;
 
-std::unique_ptr<ImageSource> OpenImageSource(const std::string& left, const std::string& right,
-                                             const ImageSourceOptions& options) {
+void internal::CheckFrameRate(const ImageSourceOptions& options) {
   if (options.frames_per_second && !(*options.frames_per_second > 0)) {
     throw UsageError("the frame rate must be positive");
   }
+}
+
+std::unique_ptr<ImageSource> OpenImageSource(const std::string& left, const std::string& right,
+                                             const ImageSourceOptions& options) {
+  internal::CheckFrameRate(options);
   const std::vector<fs::path> left_files = internal::ListFiles(left, "left");
   const std::vector<fs::path> right_files = internal::ListFiles(right, "right");
   std::error_code ignored;
@@ -38,7 +42,7 @@ std::unique_ptr<ImageSource> OpenImageSource(const std::string& left, const std:
 }
 
 std::vector<fs::path> ListImages(const std::string& pattern) {
-  return internal::ListFiles(pattern, "such");
+  return internal::ListFiles(pattern, "");
 }
 
 GrayImage ReadImage(const fs::path& file, bool* was_colour, std::int64_t max_pixels) {

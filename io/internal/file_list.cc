@@ -180,7 +180,8 @@ bool HasVideoExtension(const fs::path& file) {
   return kEndings.count(Lower(file.extension().string())) != 0;
 }
 
-std::vector<fs::path> ListFiles(const std::string& pattern, std::string_view side) {
+std::vector<fs::path> ListFiles(const std::string& pattern, std::string_view camera) {
+  const std::string side = camera.empty() ? "" : std::string(camera) + ' ';
   std::vector<fs::path> files;
   std::error_code ignored;
   if (fs::is_directory(pattern, ignored)) {
@@ -193,10 +194,10 @@ std::vector<fs::path> ListFiles(const std::string& pattern, std::string_view sid
     }
     if (failed) {
       throw InputError(
-          fmt::format("the {} folder {} cannot be read: {}", side, pattern, failed.message()));
+          fmt::format("the {}folder {} cannot be read: {}", side, pattern, failed.message()));
     }
     if (files.empty()) {
-      throw InputError(fmt::format("the {} folder {} holds no PNG, TIFF, JPEG, BMP or PGM images",
+      throw InputError(fmt::format("the {}folder {} holds no PNG, TIFF, JPEG, BMP or PGM images",
                                    side, pattern));
     }
   } else if (fs::exists(pattern, ignored)) {
@@ -210,9 +211,8 @@ std::vector<fs::path> ListFiles(const std::string& pattern, std::string_view sid
     }
     globfree(&found);
     if (files.empty()) {
-      throw InputError(
-          fmt::format("no {} images: {} is no file, no folder, and no pattern that matches one",
-                      side, pattern));
+      throw InputError(fmt::format(
+          "no {}images: {} is no file, no folder, and no pattern that matches one", side, pattern));
     }
   }
   std::sort(files.begin(), files.end(), [](const fs::path& a, const fs::path& b) {

@@ -14,9 +14,10 @@ bool NaturalLess(std::string_view a, std::string_view b);
 bool HasImageExtension(const std::filesystem::path& file);
 bool HasVideoExtension(const std::filesystem::path& file);
 
-// The files that a glob, a folder (its image files) or a path names, sorted naturally; `side` is
-// the word for messages ("left"). Throws InputError when there are none.
-std::vector<std::filesystem::path> ListFiles(const std::string& pattern, std::string_view side);
+// The files that a glob, a folder (its image files) or a path names, sorted naturally; `camera` is
+// the word for messages ("left"), empty where there is one only. Throws InputError when there are
+// none.
+std::vector<std::filesystem::path> ListFiles(const std::string& pattern, std::string_view camera);
 
 struct PairedFiles {
   std::vector<std::filesystem::path> left, right;  // of one length

@@ -16,4 +16,7 @@ std::unique_ptr<ImageSource> OpenVideoPair(const std::filesystem::path& left,
 // Time of a frame: from the table, else by the rate, else NaN.
 double FrameTime(std::int64_t index, const std::vector<double>& table, double frames_per_second);
 
+// Throws UsageError when a frame rate is given that is not positive.
+void CheckFrameRate(const ImageSourceOptions& options);
+
 }  // namespace plumbline::internal
