@@ -23,7 +23,6 @@ pkg_check_modules(APRILTAG REQUIRED IMPORTED_TARGET apriltag)
 pkg_check_modules(LIBZIP REQUIRED IMPORTED_TARGET libzip)
 pkg_check_modules(HWY REQUIRED IMPORTED_TARGET libhwy)
 pkg_check_modules(FFTW3F REQUIRED IMPORTED_TARGET fftw3f)
-pkg_check_modules(FLANN REQUIRED IMPORTED_TARGET flann)
 
 find_library(MRCAL_LIBRARY mrcal REQUIRED)
 find_path(MRCAL_INCLUDE_DIR mrcal/mrcal.h REQUIRED)
@@ -32,6 +31,14 @@ find_path(CHOLMOD_INCLUDE_DIR cholmod.h PATH_SUFFIXES suitesparse REQUIRED)
 add_library(plumbline_mrcal INTERFACE)
 target_include_directories(plumbline_mrcal SYSTEM INTERFACE ${MRCAL_INCLUDE_DIR} ${CHOLMOD_INCLUDE_DIR})
 target_link_libraries(plumbline_mrcal INTERFACE ${MRCAL_LIBRARY} ${CHOLMOD_LIBRARY})
+
+# Not by pkg-config, whose flann brings the MPI build of HDF5 along and whose variables PCL takes for its own.
+find_library(FLANN_CPP_LIBRARY flann_cpp REQUIRED)
+find_library(LZ4_LIBRARY lz4 REQUIRED)
+find_path(FLANN_CPP_INCLUDE_DIR flann/flann.hpp REQUIRED)
+add_library(plumbline_flann INTERFACE)
+target_include_directories(plumbline_flann SYSTEM INTERFACE ${FLANN_CPP_INCLUDE_DIR})
+target_link_libraries(plumbline_flann INTERFACE ${FLANN_CPP_LIBRARY} ${LZ4_LIBRARY})
 
 # PCL's own variables carry flags of no interest to us; headers and libraries are enough.
 add_library(plumbline_pcl INTERFACE)
