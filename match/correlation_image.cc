@@ -25,6 +25,17 @@ std::vector<float> TapsAtPixel(int degree, void (*weights_of)(int, double, doubl
   return taps;
 }
 
+std::vector<float> TapsOf(const CorrelationImageOptions& options) {
+  switch (options.prefilter) {
+    case Prefilter::kNone:
+      return {1.0F};
+    case Prefilter::kGaussian:
+      return GaussianTaps(options.gaussian_sigma_px);
+    default:
+      return LowPassTaps();
+  }
+}
+
 int Reflected(int i, int size) {
   if (size == 1) return 0;
   while (i < 0 || i >= size) i = i < 0 ? -i : 2 * (size - 1) - i;
@@ -37,9 +48,10 @@ void CorrelationImageOptions::Check() const {
   if (interpolation != Interpolation::kCubic && interpolation != Interpolation::kQuintic) {
     throw UsageError("The interpolation is cubic or quintic.");
   }
-  if (!(prefilter_sigma_px >= 0 && prefilter_sigma_px <= 5)) {
-    throw UsageError(fmt::format("The pre-filter's standard deviation is 0 to 5 px; {} px is not.",
-                                 prefilter_sigma_px));
+  if (prefilter == Prefilter::kGaussian && !(gaussian_sigma_px > 0 && gaussian_sigma_px <= 5)) {
+    throw UsageError(fmt::format(
+        "The Gaussian pre-filter's standard deviation is above 0 up to 5 px; {} px is not.",
+        gaussian_sigma_px));
   }
 }
 
@@ -52,7 +64,7 @@ CorrelationImage::CorrelationImage(const GrayImage& image, const CorrelationImag
   Image<float> raw(image.size());
   std::transform(image.grey.values().begin(), image.grey.values().end(), raw.values().begin(),
                  [](std::uint16_t level) { return static_cast<float>(level); });
-  const std::vector<float> filter = GaussianTaps(options_.prefilter_sigma_px);
+  const std::vector<float> filter = TapsOf(options_);
   grey_ = Filtered() ? FilterSeparably(raw, filter, filter) : std::move(raw);
   Image<float> coefficients = grey_;
   SamplesToCoefficients(degree(), coefficients);

@@ -11,12 +11,22 @@ namespace plumbline {
 // The spline through the grey levels: cubic (16 coefficients a value) or quintic (36).
 enum class Interpolation : std::uint8_t { kCubic = 3, kQuintic = 5 };
 
+// What is done to the grey levels before everything else, to take away the frequencies that no
+// spline can interpolate: those of speckle with sharp edges, and noise.
+enum class Prefilter : std::uint8_t {
+  kNone,
+  // Binomial low-pass, maximally flat: keeps frequencies up to a third of the sampling rate (half
+  // amplitude at 0.32 cycles a pixel) and takes away what lies near half of it.
+  kLowPass,
+  kGaussian,
+};
+
 struct CorrelationImageOptions {
   Interpolation interpolation = Interpolation::kQuintic;
-  // Standard deviation of a Gaussian over the grey levels, before everything else; 0: none. It
-  // takes away the frequencies that no spline can interpolate, from speckle with sharp edges and
-  // from noise. docs/correlation.md shows what it is worth.
-  double prefilter_sigma_px = 0.6;
+  Prefilter prefilter = Prefilter::kLowPass;  // docs/correlation.md shows what it is worth
+  double gaussian_sigma_px = 0.6;             // of kGaussian
+
+  friend bool operator==(const CorrelationImageOptions&, const CorrelationImageOptions&) = default;
 
   // Throws UsageError naming the broken constraint.
   void Check() const;
@@ -64,7 +74,7 @@ class CorrelationImage {
   int degree() const { return static_cast<int>(options_.interpolation); }
 
  private:
-  bool Filtered() const { return options_.prefilter_sigma_px > 0; }
+  bool Filtered() const { return options_.prefilter != Prefilter::kNone; }
 
   CorrelationImageOptions options_;
   int max_level_ = 255;

@@ -2,6 +2,7 @@
 
 #include <fmt/format.h>
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <stdexcept>
@@ -157,7 +158,7 @@ SubsetCorrelator::SubsetCorrelator(const CorrelationImage& reference,
                                               ? internal::SubsetOutline::Circle(radius)
                                               : internal::SubsetOutline::Square(radius),
                                           {},
-                                          reference.options().prefilter_sigma_px > 0});
+                                          reference.options().prefilter != Prefilter::kNone});
   for (std::size_t i = 0; i < impl->outline.begin.size(); ++i) {
     impl->full_count += impl->outline.end[i] - impl->outline.begin[i];
   }
@@ -274,8 +275,7 @@ double SubsetCorrelator::Impl::VarianceOf(const NormalEquations& equations,
 SubsetMatch SubsetCorrelator::Match(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
                                     const SubsetWarp& start) const {
   const Impl& impl = *impl_;
-  if (deformed.degree() != impl.reference.degree() ||
-      deformed.options().prefilter_sigma_px != impl.reference.options().prefilter_sigma_px) {
+  if (deformed.options() != impl.reference.options()) {
     throw std::invalid_argument("SubsetCorrelator: both images are prepared with the same options");
   }
   static thread_local Impl::Subset subset;

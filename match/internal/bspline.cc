@@ -4,6 +4,7 @@
 #include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
 #include <stdexcept>
 
@@ -196,6 +197,32 @@ std::vector<float> GaussianTaps(double sigma_px) {
   std::vector<float> normalised;
   for (const double tap : taps) normalised.push_back(static_cast<float>(tap / sum));
   return normalised;
+}
+
+std::vector<float> LowPassTaps() {
+  constexpr int kRadius = 5;
+  using Taps = std::array<double, 2 * kRadius + 1>;
+  // Times (a z + b + a / z) with the middle tap of the product kept in place.
+  const auto times = [](const Taps& taps, double a, double b) {
+    Taps product{};
+    for (std::size_t i = 0; i < taps.size(); ++i) {
+      product[i] = b * taps[i];
+      if (i > 0) product[i] += a * taps[i - 1];
+      if (i + 1 < taps.size()) product[i] += a * taps[i + 1];
+    }
+    return product;
+  };
+  Taps power{};  // (1 - x)^2 x^n, by x = (2 - z - 1 / z) / 4
+  power[kRadius] = 1;
+  power = times(times(power, 0.25, 0.5), 0.25, 0.5);
+  Taps sum{};
+  for (int n = 0; n < 4; ++n) {
+    for (std::size_t i = 0; i < sum.size(); ++i) sum[i] += (n + 1) * power[i];
+    power = times(power, -0.25, 0.5);
+  }
+  std::vector<float> taps;
+  for (const double tap : sum) taps.push_back(static_cast<float>(tap));
+  return taps;
 }
 
 double NoiseEnergy(int degree, const std::vector<float>& taps, double t) {

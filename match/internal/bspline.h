@@ -36,8 +36,14 @@ void SamplesToCoefficients(int degree, Image<float>& image);
 Image<float> FilterSeparably(const Image<float>& image, const std::vector<float>& along_x,
                              const std::vector<float>& along_y);
 
-// Normalised taps of a Gaussian, cut at 4 sigma; one tap for sigma 0.
+// Normalised taps of a Gaussian, cut at 4 sigma.
 std::vector<float> GaussianTaps(double sigma_px);
+
+// 11 taps of the low-pass with two pairs of zeros at half the sampling rate that is flat to the
+// seventh order at zero: gain (1 - x)^2 (1 + 2 x + 3 x^2 + 4 x^3) with x = sin^2(omega / 2).
+// Source: Herrmann, "On the approximation problem in nonrecursive digital filter design", IEEE
+// Trans. Circuit Theory 18(3), 1971.
+std::vector<float> LowPassTaps();
 
 // Energy sum_k phi(t - k)^2 of the weights that the samples k have in a value at fraction t, for
 // samples that are filtered by `taps` first: what interpolation leaves of white noise's variance,

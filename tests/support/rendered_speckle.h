@@ -6,6 +6,7 @@
 #include <cmath>
 #include <cstdint>
 #include <functional>
+#include <numbers>
 
 #include "calib/image.h"
 
@@ -20,7 +21,9 @@ struct RenderedSpeckleOptions {
   SpeckleKind kind = SpeckleKind::kSoftBlobs;
   std::uint32_t pattern_seed = 1;  // another number, another speckle
   double scale = 1;                // of all lengths of the pattern
-  double edge_px = 1;              // width of the linear ramp that is the edge of a sharp disc
+  // Standard deviation of the normal blur that the edge of a sharp disc has in the image. A pixel's
+  // area and a good lens (0.45 px) together: 0.53 px.
+  double edge_sigma_px = 0.53;
   double contrast = 1;             // factor on the departure from mean_grey
   double mean_grey = 120;          // in grey levels of 8 bits, as are contrast and noise
   int bits = 8;                    // more than 8: everything times 2^(bits - 8)
@@ -95,7 +98,7 @@ class SpecklePattern {
     double bare = 1;  // share of the bright ground that no disc covers
     for (const Spot& spot : spots_) {
       const double inside = (spot.size - (p - spot.centre).norm()) * options_.scale;
-      bare *= 1 - std::clamp(inside / std::max(options_.edge_px, 1e-9) + 0.5, 0.0, 1.0);
+      bare *= std::erfc(inside / (options_.edge_sigma_px * std::numbers::sqrt2)) / 2;
     }
     return 160 * bare - 80;
   }
