@@ -3,6 +3,7 @@
 #include <cmath>
 
 #include "io/internal/series_layout.h"
+#include "track/strain_measure.h"
 
 namespace plumbline {
 
@@ -15,13 +16,8 @@ std::vector<std::string> Names(const SeriesContents& contents) {
 }
 
 PrincipalStrain PrincipalOf(const Eigen::Vector3f& green_lagrange) {
-  const float mean = 0.5f * (green_lagrange[0] + green_lagrange[1]);
-  const float half_difference = 0.5f * (green_lagrange[0] - green_lagrange[1]);
-  const float shear = green_lagrange[2];
-  const float radius = std::hypot(half_difference, shear);  // of Mohr's circle
-  const float angle = radius > 0 ? 0.5f * std::atan2(shear, half_difference)
-                                 : std::numeric_limits<float>::quiet_NaN();
-  return {{mean + radius, mean - radius}, angle};
+  const StrainInvariants invariants = InvariantsOf(green_lagrange.cast<double>());
+  return {invariants.principal.cast<float>(), static_cast<float>(invariants.angle_rad)};
 }
 
 GroundAngles AnglesOf(const GroundRecord& ground) {
