@@ -5,7 +5,6 @@
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <limits>
 #include <string_view>
@@ -106,48 +105,7 @@ Eigen::Matrix3d RandomCovariance(const SurfacePoints& points, std::size_t i, boo
   return cov;
 }
 
-void CheckRegion(const PixelRegion& region, ImageSize size) {
-  if (region.x >= size.width || region.y >= size.height) {
-    throw InputError(fmt::format("The region {},{},{},{} lies outside the left image of {}x{} px.",
-                                 region.x, region.y, region.width, region.height, size.width,
-                                 size.height));
-  }
-}
-
 }  // namespace
-
-PixelRegion PixelRegion::Parse(const std::string& text) {
-  int value[4] = {};
-  const char* at = text.data();
-  const char* const end = text.data() + text.size();
-  bool good = true;
-  for (int i = 0; i < 4 && good; ++i) {
-    const auto [next, error] = std::from_chars(at, end, value[i]);
-    good = error == std::errc() && (i == 3 ? next == end : next != end && *next == ',');
-    at = next + 1;
-  }
-  if (!good || value[0] < 0 || value[1] < 0 || value[2] <= 0 || value[3] <= 0) {
-    throw UsageError(fmt::format(
-        "A region is x,y,w,h in px of the left image, for example 100,50,640,480, not '{}'.",
-        text));
-  }
-  return {value[0], value[1], value[2], value[3]};
-}
-
-Image<std::uint8_t> ReadMask(const std::filesystem::path& file) {
-  const GrayImage image = ReadImage(file);
-  Image<std::uint8_t> mask(image.size());
-  std::size_t kept = 0;
-  for (std::size_t i = 0; i < mask.pixel_count(); ++i) {
-    mask.values()[i] = image.grey.values()[i] != 0 ? 1 : 0;
-    kept += mask.values()[i];
-  }
-  if (kept == 0) {
-    throw InputError(fmt::format("The mask '{}' is 0 everywhere, which leaves nothing to measure.",
-                                 file.string()));
-  }
-  return mask;
-}
 
 void MeasureOptions::Check() const {
   if (step_px < 1) throw UsageError("The step between points must be at least 1 px.");
@@ -191,7 +149,7 @@ StereoMeasurement::Impl::Impl(const StereoRig& r, const MeasureOptions& o)
                                  options.mask.width(), options.mask.height(), rig.left.size().width,
                                  rig.left.size().height));
   }
-  if (options.roi) CheckRegion(*options.roi, rig.left.size());
+  if (options.roi) options.roi->CheckInside(rig.left.size());
   if (options.min_distance_mm) {
     SetRange(*options.min_distance_mm, *options.max_distance_mm, options.disparity);
   }

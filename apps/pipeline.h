@@ -1,12 +1,12 @@
 #pragma once
 
 #include <cstdint>
-#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
 #include <vector>
 
+#include "apps/region.h"
 #include "calib/image.h"
 #include "calib/rectify.h"
 #include "calib/stereo_rig.h"
@@ -16,18 +16,6 @@
 #include "match/disparity.h"
 
 namespace plumbline {
-
-// A rectangle of the left image, in whole pixels.
-struct PixelRegion {
-  int x = 0, y = 0, width = 0, height = 0;
-
-  // Reads "x,y,w,h". Throws UsageError saying what is wrong.
-  static PixelRegion Parse(const std::string& text);
-};
-
-// A mask for the left image from a file: 0 is left out, every other level (1 or 255, say) is kept.
-// Throws InputError when it cannot be read or keeps nothing.
-Image<std::uint8_t> ReadMask(const std::filesystem::path& file);
 
 struct MeasureOptions {
   int step_px = 1;  // between points, in the rectified left image

@@ -110,16 +110,6 @@ MeasureOptions NearOptions() {
   return options;
 }
 
-TEST(PixelRegion, ReadsFourNumbersAndNothingElse) {
-  const PixelRegion region = PixelRegion::Parse("10,20,300,40");
-  EXPECT_EQ(region.x, 10);
-  EXPECT_EQ(region.height, 40);
-  for (const char* wrong :
-       {"", "1,2,3", "1,2,3,4,5", "1,2,3,4 ", "-1,2,3,4", "1,2,0,4", "a,b,c,d"}) {
-    EXPECT_THROW(PixelRegion::Parse(wrong), UsageError) << wrong;
-  }
-}
-
 TEST(SurfacePoints, CovarianceOfTheRightPixelFollowsTheEpipolarLine) {
   const StereoRig rig = SmallRig();
   const Rectification rectification(rig);
