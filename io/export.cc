@@ -7,6 +7,8 @@
 #include <cerrno>
 #include <cmath>
 #include <fstream>
+#include <limits>
+#include <string>
 
 #include "io/internal/durable_file.h"
 
@@ -36,12 +38,19 @@ PointValues ValuesOf(const Surface& s, int r, int c) {
 }
 
 template <typename Use>
-void ForEachPoint(const Surface& surface, const Use& use, bool all = false) {
-  for (int r = 0; r < surface.status.height(); ++r) {
-    for (int c = 0; c < surface.status.width(); ++c) {
-      if (all || surface.status(r, c) == Status::kOk) use(r, c);
+void ForEachPoint(const Image<Status>& status, const Use& use, bool all = false) {
+  for (int r = 0; r < status.height(); ++r) {
+    for (int c = 0; c < status.width(); ++c) {
+      if (all || status(r, c) == Status::kOk) use(r, c);
     }
   }
+}
+
+// Digits: as many as tell two values apart.
+template <typename Scalar>
+std::string Cell(Scalar value) {
+  constexpr int digits = std::numeric_limits<Scalar>::max_digits10;
+  return std::isnan(value) ? ",nan" : fmt::format(",{:.{}g}", value, digits);  // never -nan
 }
 
 template <typename Write>
@@ -58,7 +67,7 @@ void WriteStream(const fs::path& file, const Write& write) {
 
 void ExportPly(const fs::path& file, const SeriesFrame& frame) {
   std::size_t count = 0;
-  ForEachPoint(frame.surface, [&](int, int) { ++count; });
+  ForEachPoint(frame.surface.status, [&](int, int) { ++count; });
   WriteStream(file, [&](std::ofstream& out) {
     out << "ply\nformat binary_little_endian 1.0\ncomment plumbline: lengths in mm, sigmas are one "
            "standard deviation\n"
@@ -69,7 +78,7 @@ void ExportPly(const fs::path& file, const SeriesFrame& frame) {
       out << "property float " << name << '\n';
     }
     out << "end_header\n";
-    ForEachPoint(frame.surface, [&](int r, int c) {
+    ForEachPoint(frame.surface.status, [&](int r, int c) {
       const PointValues values = ValuesOf(frame.surface, r, c);
       out.write(reinterpret_cast<const char*>(values.data()), sizeof values);
     });
@@ -85,13 +94,40 @@ void ExportCsv(const fs::path& file, const SeriesFrame& frame, CsvPoints points)
         << (all ? ",status\n" : "\n");
     const auto write = [&](int r, int c) {
       out << r << ',' << c;
-      for (const float v : ValuesOf(frame.surface, r, c)) {
-        out << (std::isnan(v) ? ",nan" : fmt::format(",{:.9g}", v));  // never -nan
-      }
+      for (const float v : ValuesOf(frame.surface, r, c)) out << Cell(v);
       if (all) out << ',' << Name(frame.surface.status(r, c));
       out << '\n';
     };
-    ForEachPoint(frame.surface, write, all);
+    ForEachPoint(frame.surface.status, write, all);
+  });
+}
+
+void ExportCsv(const fs::path& file, const PlanarSeriesFrame& frame, CsvPoints points) {
+  const bool all = points == CsvPoints::kAll;
+  const PlanarField& field = frame.field;
+  const PlanarStrainRecord& strain = frame.strain;
+  const bool has_strain = !strain.status.empty();
+  WriteStream(file, [&](std::ofstream& out) {
+    out << "row,col,x_px,y_px,u_px,v_px,sigma_u_px,sigma_v_px,zncc"
+        << (has_strain ? ",strain_xx,strain_yy,strain_xy,sigma_strain_xx,sigma_strain_yy,"
+                         "sigma_strain_xy,strain_status"
+                       : "")
+        << (all ? ",status\n" : "\n");
+    const auto write = [&](int r, int c) {
+      const Eigen::Vector2d pixel = field.PixelOf(r, c);
+      const Eigen::Vector2d& u = field.displacement_px(r, c);
+      const Eigen::Vector3f& cov = field.cov_displacement_px2(r, c);
+      out << r << ',' << c << ',' << pixel.x() << ',' << pixel.y() << Cell(u.x()) << Cell(u.y())
+          << Cell(std::sqrt(cov[0])) << Cell(std::sqrt(cov[2])) << Cell(field.zncc(r, c));
+      if (has_strain) {
+        for (const float v : strain.strain(r, c)) out << Cell(v);
+        for (const int k : {0, 3, 5}) out << Cell(std::sqrt(strain.covariance(r, c)[k]));
+        out << ',' << Name(strain.status(r, c));
+      }
+      if (all) out << ',' << Name(field.status(r, c));
+      out << '\n';
+    };
+    ForEachPoint(field.status, write, all);
   });
 }
 

@@ -2,6 +2,7 @@
 
 #include <filesystem>
 
+#include "io/planar_series.h"
 #include "io/series_writer.h"
 
 namespace plumbline {
@@ -20,6 +21,13 @@ enum class CsvPoints { kOk, kAll };
 // whole grid, in row order, with a last column `status` of names (calib/status.h); values that are
 // not there are `nan`. A frame without a surface has no points.
 void ExportCsv(const std::filesystem::path& file, const SeriesFrame& frame,
+               CsvPoints points = CsvPoints::kOk);
+
+// The same of a frame of one camera: row, column, where the point sits in the reference image
+// (x_px, y_px), its displacement (u_px, v_px), the sigmas of both, zncc, and with a strain xx, yy,
+// xy, their sigmas and strain_status. With kOk the points that have a displacement. The correlation
+// may be a number where the status is not ok.
+void ExportCsv(const std::filesystem::path& file, const PlanarSeriesFrame& frame,
                CsvPoints points = CsvPoints::kOk);
 
 }  // namespace plumbline

@@ -9,7 +9,9 @@
 #include "io/internal/file_checks.h"
 #include "io/internal/hdf5.h"
 #include "io/internal/rig_group.h"
+#include "io/internal/series_datasets.h"
 #include "io/internal/series_pack.h"
+#include "io/planar_series_reader.h"
 #include "io/rig_file.h"
 #include "io/series_reader.h"
 
@@ -27,15 +29,31 @@ bool IsSeries(const fs::path& file) {
   }
 }
 
-std::int64_t CountOk(const Surface& surface) {
-  const auto& status = surface.status.values();
-  return std::count(status.begin(), status.end(), Status::kOk);
+std::int64_t CountOk(const Image<Status>& status) {
+  return std::count(status.values().begin(), status.values().end(), Status::kOk);
 }
 
 void AddRig(const StereoRig& rig, FileSummary* summary) {
   summary->lens_model = rig.left.model().Name();
   summary->baseline_mm = rig.baseline_mm();
   summary->calibration_modes = rig.modes.count();
+}
+
+void AddPlanar(const PlanarSeriesReader& reader, FileSummary* summary) {
+  const PlanarSeriesHeader& header = reader.header();
+  summary->planar = true;
+  summary->created = reader.facts().created;
+  summary->software = reader.facts().software;
+  summary->frames = reader.frame_count();
+  summary->grid_rows = header.grid.height;
+  summary->grid_columns = header.grid.width;
+  summary->planar_contents = header.contents;
+  for (std::int64_t i = 0; i < summary->frames; ++i) {
+    const PlanarSeriesFrame frame = reader.Frame(i);
+    summary->frames_with_surface += frame.field.status.empty() ? 0 : 1;
+    summary->points += CountOk(frame.field.status);
+    summary->strain_points += CountOk(frame.strain.status);
+  }
 }
 
 void Append(std::vector<std::string> more, std::vector<std::string>* findings) {
@@ -69,8 +87,10 @@ void CheckFile(const fs::path& path, std::vector<std::string>* findings) {
     std::vector<std::string> layout = internal::CheckLayout(file.get(), is_series);
     // Where something is missing, the readers would only say so again.
     if (layout.empty()) {
-      ReadRigFile(path);
-      if (is_series) SeriesReader{path};
+      const bool is_planar = is_series && internal::IsPlanar(file.get());
+      if (!is_planar) ReadRigFile(path);
+      if (is_planar) PlanarSeriesReader{path};
+      if (is_series && !is_planar) SeriesReader{path};
     }
     Append(std::move(layout), findings);
     Append(internal::CheckDatasets(file.get()), findings);
@@ -85,17 +105,21 @@ void CheckFile(const fs::path& path, std::vector<std::string>* findings) {
 }  // namespace
 
 std::string FileSummary::Text() const {
-  std::string text = fmt::format(
-      "format: {}\nlens model: {}\nbaseline: {:.4f} mm\n"
-      "calibration modes: {}\n",
-      format, lens_model, baseline_mm, calibration_modes);
+  std::string text = fmt::format("format: {}\n", format);
+  if (!planar) {
+    text += fmt::format("lens model: {}\nbaseline: {:.4f} mm\ncalibration modes: {}\n", lens_model,
+                        baseline_mm, calibration_modes);
+  }
   if (format != "plumbline-series") return text;
-  text += fmt::format(
-      "created: {} by {}\nframes: {}, {} with a surface, {} with a ground "
-      "plane\ngrid: {} rows, {} columns\npoints: {}\n",
-      created, software, frames, frames_with_surface, frames_with_ground, grid_rows, grid_columns,
-      points);
-  std::vector<std::string> also = Names(contents);
+  const std::string found = planar
+                                ? fmt::format("{} with a displacement field", frames_with_surface)
+                                : fmt::format("{} with a surface, {} with a ground plane",
+                                              frames_with_surface, frames_with_ground);
+  text += fmt::format("created: {} by {}\nframes: {}, {}\ngrid: {} rows, {} columns\npoints: {}\n",
+                      created, software, frames, found, grid_rows, grid_columns, points);
+  if (planar && planar_contents.strain)
+    text += fmt::format("points with strain: {}\n", strain_points);
+  std::vector<std::string> also = planar ? Names(planar_contents) : Names(contents);
   if (!channels.empty()) also.push_back(fmt::format("channels ({})", fmt::join(channels, ", ")));
   if (!also.empty()) text += fmt::format("also holds: {}\n", fmt::join(also, ", "));
   return text;
@@ -108,8 +132,12 @@ FileSummary Inspect(const fs::path& file) {
     AddRig(ReadRigFile(file), &summary);
     return summary;
   }
-  const SeriesReader reader(file);
   summary.format = "plumbline-series";
+  if (IsPlanarSeries(file)) {
+    AddPlanar(PlanarSeriesReader(file), &summary);
+    return summary;
+  }
+  const SeriesReader reader(file);
   AddRig(reader.rig(), &summary);
   summary.created = reader.facts().created;
   summary.software = reader.facts().software;
@@ -122,7 +150,7 @@ FileSummary Inspect(const fs::path& file) {
     const SeriesFrame frame = reader.Frame(i);
     summary.frames_with_surface += frame.surface.status.empty() ? 0 : 1;
     summary.frames_with_ground += frame.ground.found ? 1 : 0;
-    summary.points += CountOk(frame.surface);
+    summary.points += CountOk(frame.surface.status);
   }
   return summary;
 }

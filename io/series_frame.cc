@@ -8,11 +8,7 @@
 namespace plumbline {
 
 std::vector<std::string> Names(const SeriesContents& contents) {
-  std::vector<std::string> names;
-  for (const internal::OptionalContent& content : internal::kOptionalContents) {
-    if (contents.*content.flag) names.emplace_back(content.name);
-  }
-  return names;
+  return internal::NamesOf(contents);
 }
 
 PrincipalStrain PrincipalOf(const Eigen::Vector3f& green_lagrange) {

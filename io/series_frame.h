@@ -12,6 +12,14 @@
 
 namespace plumbline {
 
+// What the file says about itself.
+struct SeriesFacts {
+  std::string created;   // ISO 8601, UTC
+  std::string software;  // that wrote it
+  std::string recipe_toml;
+  std::string inputs_json;  // [{"path", "size", "sha256"}]
+};
+
 // Which optional groups a series holds; fixed for the whole run.
 struct SeriesContents {
   bool covariance = false;  // /surface/covariance

@@ -10,14 +10,6 @@
 
 namespace plumbline {
 
-// What the file says about itself.
-struct SeriesFacts {
-  std::string created;   // ISO 8601, UTC
-  std::string software;  // that wrote it
-  std::string recipe_toml;
-  std::string inputs_json;  // [{"path", "size", "sha256"}]
-};
-
 // Reads a series, also one that is not ours: nothing in the file can make it read another file, and
 // sizes are checked before memory is taken.
 //

@@ -8,9 +8,12 @@
 #include <map>
 #include <set>
 
+#include "io/internal/planar_header.h"
+#include "io/internal/planar_layout.h"
+#include "io/internal/series_datasets.h"
 #include "io/internal/series_header.h"
+#include "io/internal/series_layout.h"
 #include "io/internal/series_records.h"
-#include "io/internal/series_tables.h"
 
 namespace plumbline::internal {
 namespace {
@@ -42,21 +45,43 @@ std::vector<Wanted> WantedInRig() {
   return wanted;
 }
 
-std::vector<Wanted> WantedInSeries(const SeriesContents& contents) {
+// What both kinds of series hold.
+std::vector<Wanted> WantedInBoth(const PointLayout& layout, std::uint32_t content_bits,
+                                 std::initializer_list<const char*> frame_columns) {
   std::vector<Wanted> wanted = {
       {"/frames/index", {"frames"}}, {"/grid/pixel", {"rows", "columns", "2"}},
       {"/grid/row", {"rows"}},       {"/grid/col", {"columns"}},
       {"/grid/step_px", {}},         {"/grid/subset_px", {}}};
-  for (const char* name :
-       {"time_s", "left_id", "right_id", "problem", "dropped_before", "status", "surface_frame"}) {
+  for (const char* name : frame_columns) {
     wanted.push_back({std::string("/frames/") + name, {"frames"}});
   }
-  for (const PointField& field : PointFields()) {
-    if (!Holds(contents, field.needs)) continue;
+  for (const PointField& field : layout.fields) {
+    if (!Holds(content_bits, field.needs)) continue;
     Wanted dataset{field.Path(), {"frames", "rows", "columns"}};
-    if (field.axis->count > 1) dataset.dimensions.push_back(std::to_string(field.axis->count));
+    if (field.axis->count() > 1) dataset.dimensions.push_back(std::to_string(field.axis->count()));
+    wanted.push_back(dataset);
+    if (field.also.empty()) continue;
+    dataset.path = field.also;
     wanted.push_back(dataset);
   }
+  return wanted;
+}
+
+std::vector<Wanted> WantedInPlanarSeries(hid_t file) {
+  std::vector<Wanted> wanted =
+      WantedInBoth(PlanarPoints(), BitsOf(ContentsOf<PlanarContents>(file)),
+                   {"time_s", "id", "problem", "dropped_before", "reference_index", "status"});
+  wanted.push_back({"/camera/image_size", {"2"}});
+  wanted.push_back({"/camera/noise_offset", {}});
+  wanted.push_back({"/camera/noise_slope", {}});
+  return wanted;
+}
+
+std::vector<Wanted> WantedInSeries(hid_t file) {
+  const auto contents = ContentsOf<SeriesContents>(file);
+  std::vector<Wanted> wanted = WantedInBoth(
+      StereoPoints(), BitsOf(contents),
+      {"time_s", "left_id", "right_id", "problem", "dropped_before", "status", "surface_frame"});
   for (const RecordGroup& group : RecordGroups()) {
     if (!Holds(contents, group.needs)) continue;
     for (const char* name : {"/status", "/problem"}) {
@@ -256,21 +281,26 @@ std::vector<std::string> ChannelPaths(hid_t file) {
   return paths;
 }
 
-// The groups of the series with their attributes.
-void CheckSeriesGroups(hid_t file, LayoutCheck* check) {
-  std::vector<std::string> groups = {"/frames", "/grid", "/surface", "/ground"};
+void CheckNexusGroups(hid_t file, std::vector<std::string> groups,
+                      std::initializer_list<const char*> optional, LayoutCheck* check) {
   for (const std::string& path : groups) check->Group(path);
-  for (const char* path : {"/displacement", "/strain", "/wheel", "/patch", "/slip"}) {
+  for (const char* path : optional) {
     if (hdf5::Exists(file, path)) groups.emplace_back(path);
-  }
-  if (hdf5::Exists(file, "/channels")) {
-    check->Try([&] { hdf5::OpenGroup(file, "/channels"); });
   }
   for (const std::string& path : ChannelPaths(file)) groups.push_back(path);
   for (const std::string& path : groups) {
     check->Try([&] { check->NexusData(path); });
   }
-  for (const PointGroupFacts& group : kPointGroups) {
+}
+
+// The groups of a series with their attributes.
+void CheckSeriesGroups(hid_t file, LayoutCheck* check) {
+  if (hdf5::Exists(file, "/channels")) {
+    check->Try([&] { hdf5::OpenGroup(file, "/channels"); });
+  }
+  CheckNexusGroups(file, {"/frames", "/grid", "/surface", "/ground"},
+                   {"/displacement", "/strain", "/wheel", "/patch", "/slip"}, check);
+  for (const PointGroupFacts& group : StereoPoints().groups) {
     if (!group.in_surface_frame) continue;
     const std::string path(group.path);
     check->Try([&] { check->Attributes(path, {"frame"}); });
@@ -282,22 +312,50 @@ void CheckSeriesGroups(hid_t file, LayoutCheck* check) {
   check->Try([&] { check->AttributeText("/displacement", "reference", IsDisplacementReference); });
 }
 
+void CheckPlanarGroups(hid_t file, LayoutCheck* check) {
+  CheckNexusGroups(file, {"/frames", "/grid", "/displacement"}, {"/strain"}, check);
+  check->Group("/camera");
+  check->Try([&] { check->Attributes("/camera", {"noise_source", "bits"}); });
+  check->Try([&] {
+    check->Attributes("/grid",
+                      {"points", "order", "interpolation", "prefilter_sigma_px", "subset_shape"});
+  });
+  check->Try([&] { check->Attributes("/displacement", {"reference_id", "errors_calibration"}); });
+  check->Try([&] { check->AttributeText("/displacement", "reference", IsPlanarReference); });
+  if (!hdf5::Exists(file, "/strain")) return;
+  check->Try([&] {
+    check->Attributes("/strain", {"strain_axes", "vsg_px", "window", "errors_calibration"});
+  });
+  check->Try([&] { check->AttributeText("/strain", "measure", IsStrainMeasure); });
+}
+
+void CheckRig(LayoutCheck* check) {
+  for (const char* path : {"/rig", "/rig/left", "/rig/right"}) check->Group(path);
+  check->Try([&] { check->Attributes("/rig", {"board"}); });
+  check->Try([&] { check->Attributes("/rig/left", {"lens_model"}); });
+  check->Try([&] { check->Attributes("/rig/right", {"lens_model"}); });
+  check->Try([&] { check->Attributes("/rig/modes", {"has_scale_mode"}); });
+}
+
 }  // namespace
 
 Findings CheckLayout(hid_t file, bool is_series) {
   LayoutCheck check(file);
+  const bool is_planar = is_series && IsPlanar(file);
   check.Try([&] {
     check.Attributes("/", {"format", "format_version", "created", "software", "recipe", "inputs"});
   });
-  for (const char* path : {"/rig", "/rig/left", "/rig/right"}) check.Group(path);
-  check.Try([&] { check.Attributes("/rig", {"board"}); });
-  check.Try([&] { check.Attributes("/rig/left", {"lens_model"}); });
-  check.Try([&] { check.Attributes("/rig/right", {"lens_model"}); });
-  check.Try([&] { check.Attributes("/rig/modes", {"has_scale_mode"}); });
-  std::vector<Wanted> wanted = WantedInRig();
-  if (is_series) {
+  std::vector<Wanted> wanted;
+  if (is_planar) {
+    CheckPlanarGroups(file, &check);
+    wanted = WantedInPlanarSeries(file);
+  } else {
+    CheckRig(&check);
+    wanted = WantedInRig();
+  }
+  if (is_series && !is_planar) {
     CheckSeriesGroups(file, &check);
-    for (Wanted& dataset : WantedInSeries(ContentsOf(file))) wanted.push_back(std::move(dataset));
+    for (Wanted& dataset : WantedInSeries(file)) wanted.push_back(std::move(dataset));
     for (const std::string& channel : ChannelPaths(file)) {
       wanted.push_back({channel + "/time_s", {"samples of " + channel}});
       wanted.push_back({channel + "/value", {"samples of " + channel}});

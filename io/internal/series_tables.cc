@@ -1,10 +1,15 @@
 #include "io/internal/series_tables.h"
 
-#include <array>
 #include <cctype>
 #include <cmath>
 #include <limits>
+#include <optional>
+#include <utility>
 
+#include "io/internal/patch_contours.h"
+#include "io/internal/point_groups.h"
+#include "io/internal/series_datasets.h"
+#include "io/internal/series_layout.h"
 #include "io/internal/series_records.h"
 
 namespace plumbline::internal {
@@ -13,62 +18,26 @@ namespace {
 using hdf5::Id;
 using Frames = std::vector<SeriesFrame>;
 
-template <typename T, typename Get>
-std::vector<T> Column(const Frames& frames, const Get& get) {
-  std::vector<T> column;
-  for (const SeriesFrame& frame : frames) column.push_back(static_cast<T>(get(frame)));
-  return column;
-}
-
-void WriteEnum(hid_t file, const std::string& path, const std::string& long_name,
-               std::span<const std::string_view> names, const std::vector<std::uint8_t>& values) {
-  const Id dataset = CreateEnumDataset(file, {path, "1", long_name, {values.size()}, {}}, names, 0);
-  if (!values.empty()) {
-    const Id type = hdf5::EnumType(names);
-    hdf5::Check(H5Dwrite(dataset.get(), type.get(), H5S_ALL, H5S_ALL, H5P_DEFAULT, values.data()),
-                "writing a column");
-  }
-  hdf5::AttachScales(file, dataset, {"/frames/index"});
-}
-
 void WriteFrames(hid_t file, const Frames& frames, const std::vector<std::uint8_t>& has_surface) {
-  const hsize_t F = frames.size();
-  const Id group = hdf5::CreateGroup(file, "/frames");
-  hdf5::SetText(group.get(), "NX_class", "NXdata");
-  hdf5::SetText(group.get(), "signal", "time_s");
-  hdf5::SetTexts(group.get(), "axes", {"index"});
-  hdf5::MakeScale(hdf5::WriteArray<std::int64_t>(
-                      file, {"/frames/index", "1", "position in the recording, from 0", {F}, {}},
-                      Column<std::int64_t>(frames, [](const auto& f) { return f.index; })),
-                  "frame");
-  const std::vector<std::string> axis = {"/frames/index"};
-  hdf5::AttachScales(
-      file,
-      hdf5::WriteArray<double>(file, {"/frames/time_s", "s", "time of the frame", {F}, {}},
-                               Column<double>(frames, [](const auto& f) { return f.time_s; })),
-      axis);
-  const auto texts = [&](const std::string& path, const std::string& long_name, auto get) {
-    hdf5::AttachScales(
-        file,
-        hdf5::WriteTexts(file, {path, "1", long_name, {F}, {}}, Column<std::string>(frames, get)),
-        axis);
+  WriteFrameIndex(file, Column<std::int64_t>(frames, [](const auto& f) { return f.index; }));
+  WriteNumberColumn(file, "/frames/time_s", "s", "time of the frame",
+                    Column<double>(frames, [](const auto& f) { return f.time_s; }));
+  const auto texts = [&](const char* path, const char* long_name, auto get) {
+    WriteTextColumn(file, path, long_name, Column<std::string>(frames, get));
   };
   texts("/frames/left_id", "left image", [](const auto& f) { return f.left_id; });
   texts("/frames/right_id", "right image", [](const auto& f) { return f.right_id; });
   texts("/frames/problem", "why there is no surface; empty if there is one",
         [](const auto& f) { return f.problem; });
-  hdf5::AttachScales(
-      file,
-      hdf5::WriteArray<std::int32_t>(
-          file, {"/frames/dropped_before", "1", "frames lost just before this one", {F}, {}},
-          Column<std::int32_t>(frames, [](const auto& f) { return f.dropped_before; })),
-      axis);
+  WriteNumberColumn(file, "/frames/dropped_before", "1", "frames lost just before this one",
+                    Column<std::int32_t>(frames, [](const auto& f) { return f.dropped_before; }));
   std::vector<std::uint8_t> status;
   for (const std::uint8_t has : has_surface) status.push_back(has != 0 ? 0 : 1);
-  WriteEnum(file, "/frames/status", "whether the frame holds a surface", kFrameStatusNames, status);
-  WriteEnum(file, "/frames/surface_frame", "frame that the positions are given in",
-            kSurfaceFrameNames,
-            Column<std::uint8_t>(frames, [](const auto& f) { return f.surface.frame; }));
+  WriteEnumColumn(file, "/frames/status", "whether the frame holds a surface", kFrameStatusNames,
+                  status);
+  WriteEnumColumn(file, "/frames/surface_frame", "frame that the positions are given in",
+                  kSurfaceFrameNames,
+                  Column<std::uint8_t>(frames, [](const auto& f) { return f.surface.frame; }));
 }
 
 void WriteField(hid_t file, const RecordGroup& group, const RecordField& field,
@@ -111,53 +80,12 @@ void WriteRecords(hid_t file, const RecordGroup& group, const Frames& frames) {
     WriteNameAxis(file, group.path + "/" + axis.name, axis.name, axis.long_name, axis.labels);
   }
   for (const RecordField& field : group.fields) WriteField(file, group, field, frames);
-  WriteEnum(file, group.path + "/status", "whether a " + group.what + " was found", kFoundNames,
-            Column<std::uint8_t>(frames, [&](const auto& f) { return group.found(f) ? 0 : 1; }));
-  hdf5::AttachScales(file,
-                     hdf5::WriteTexts(file,
-                                      {group.path + "/problem",
-                                       "1",
-                                       "why there is no " + group.what + "; empty if there is one",
-                                       {frames.size()},
-                                       {}},
-                                      Column<std::string>(frames, group.problem)),
-                     {"/frames/index"});
-}
-
-}  // namespace
-
-Id CreateEnumDataset(hid_t file, const hdf5::DatasetSpec& spec,
-                     std::span<const std::string_view> names, std::uint8_t fill) {
-  const Id type = hdf5::EnumType(names);
-  Id dataset = hdf5::CreateDataset(file, spec, type.get(), &fill);
-  std::string meanings;
-  for (const std::string_view name : names) {
-    if (!meanings.empty()) meanings += ' ';
-    meanings += name;
-  }
-  hdf5::SetText(dataset.get(), "flag_meanings", meanings);
-  const hsize_t n = names.size();
-  std::vector<std::uint8_t> values(n);
-  for (std::size_t i = 0; i < n; ++i) values[i] = static_cast<std::uint8_t>(i);
-  const Id space(hdf5::Check(H5Screate_simple(1, &n, nullptr), "attribute"));
-  const Id attribute(hdf5::Check(H5Acreate2(dataset.get(), "flag_values", H5T_NATIVE_UINT8,
-                                            space.get(), H5P_DEFAULT, H5P_DEFAULT),
-                                 "attribute"));
-  hdf5::Check(H5Awrite(attribute.get(), H5T_NATIVE_UINT8, values.data()), "attribute");
-  return dataset;
-}
-
-void WriteNameAxis(hid_t file, const std::string& path, const std::string& label,
-                   const std::string& long_name, const std::vector<std::string>& names) {
-  hdf5::MakeScale(hdf5::WriteTexts(file, {path, "1", long_name, {names.size()}, {}}, names), label);
-}
-
-SeriesContents ContentsOf(hid_t file) {
-  SeriesContents contents;
-  for (const OptionalContent& content : kOptionalContents) {
-    contents.*content.flag = hdf5::Exists(file, std::string(content.path));
-  }
-  return contents;
+  WriteEnumColumn(
+      file, group.path + "/status", "whether a " + group.what + " was found", kFoundNames,
+      Column<std::uint8_t>(frames, [&](const auto& f) { return group.found(f) ? 0 : 1; }));
+  WriteTextColumn(file, group.path + "/problem",
+                  "why there is no " + group.what + "; empty if there is one",
+                  Column<std::string>(frames, group.problem));
 }
 
 void WriteFrameTables(hid_t file, const SeriesContents& contents, const Frames& frames,
@@ -166,6 +94,69 @@ void WriteFrameTables(hid_t file, const SeriesContents& contents, const Frames& 
   for (const RecordGroup& group : RecordGroups()) {
     if (Holds(contents, group.needs)) WriteRecords(file, group, frames);
   }
+}
+
+std::string FrameOfPositions(const Frames& frames, const std::vector<std::uint8_t>& has_surface) {
+  std::string name;
+  for (std::size_t i = 0; i < frames.size(); ++i) {
+    if (has_surface[i] == 0) continue;
+    const std::string own(kSurfaceFrameNames[static_cast<std::size_t>(frames[i].surface.frame)]);
+    if (name.empty()) name = own;
+    if (name != own) return "mixed: see /frames/surface_frame";
+  }
+  return name.empty() ? "rig" : name;
+}
+
+class StereoPacker : public FramePacker {
+ public:
+  StereoPacker(hid_t file, const SeriesShape& shape)
+      : file_(file),
+        shape_(shape),
+        contents_(FromBits<SeriesContents>(shape.content_bits)),
+        points_(file, StereoPoints(), shape) {
+    if (contents_.patch) contours_.emplace(file);
+  }
+
+  void Add(std::span<const std::uint8_t> payload) override {
+    FrameRecord<SeriesFrame> record = DecodeFrame(payload, shape_);
+    points_.Add(record.chunks);
+    if (contours_) contours_->Take(&record.frame);
+    has_surface_.push_back(record.has_points ? 1 : 0);
+    frames_.push_back(std::move(record.frame));
+  }
+
+  void Finish() override {
+    WriteFrameTables(file_, contents_, frames_, has_surface_);
+    if (contours_) contours_->Finish();
+    WriteSurfaceFrame(FrameOfPositions(frames_, has_surface_));
+    points_.Finish();
+  }
+
+ private:
+  // What the vectors are given in.
+  void WriteSurfaceFrame(const std::string& name) {
+    for (const PointGroupFacts& group : StereoPoints().groups) {
+      if (!group.in_surface_frame || !Holds(shape_.content_bits, group.needs)) continue;
+      const std::string path(group.path);
+      const std::string signal = path + "/" + std::string(group.signal);
+      hdf5::SetText(hdf5::OpenGroup(file_, path).get(), "frame", name);
+      hdf5::SetText(hdf5::OpenDataset(file_, signal).get(), "frame", name);
+    }
+  }
+
+  hid_t file_;
+  SeriesShape shape_;
+  SeriesContents contents_;
+  PointGroups points_;
+  std::optional<PatchContours> contours_;
+  Frames frames_;
+  std::vector<std::uint8_t> has_surface_;
+};
+
+}  // namespace
+
+std::unique_ptr<FramePacker> MakeStereoPacker(hid_t file, const SeriesShape& shape) {
+  return std::make_unique<StereoPacker>(file, shape);
 }
 
 }  // namespace plumbline::internal

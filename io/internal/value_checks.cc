@@ -5,7 +5,10 @@
 
 #include "io/internal/file_checks.h"
 #include "io/internal/patch_contours.h"
+#include "io/internal/planar_layout.h"
+#include "io/internal/series_file.h"
 #include "io/internal/series_header.h"
+#include "io/internal/series_layout.h"
 #include "io/internal/series_records.h"
 
 namespace plumbline::internal {
@@ -14,10 +17,6 @@ namespace {
 using hdf5::Id;
 using hdf5::Shape;
 using Findings = std::vector<std::string>;
-
-// The same bounds as SeriesReader's.
-constexpr hsize_t kMaxFrameElements = hsize_t{3} << 28;
-constexpr hsize_t kMaxFrames = 100'000'000;
 
 // Where there has to be a number: nowhere, at one of the points that are expected to have one at
 // least, or at all of them.
@@ -42,16 +41,14 @@ Id OpenIfFits(hid_t file, const std::string& path, const Shape& leading) {
 }
 
 // What a finding calls it, and where it has to hold numbers.
-OpenField Describe(const PointField& field, bool has_modes) {
+OpenField Describe(const PointField& field, const PointGroupFacts& group, bool has_modes) {
   // A mode may bend the rays of a point so far that they no longer meet; it then has a position and
   // no sigma of the calibration.
   const Needed by_modes = has_modes ? Needed::kSomewhere : Needed::kNowhere;
-  const std::string what(kPointGroups[field.group].what);
-  // Of the others only what they are of has to be known everywhere where the surface is.
-  const Needed value = field.group == kSurface ? Needed::kEverywhere : Needed::kNowhere;
+  const std::string what(group.what);
   switch (field.part) {
     case PointPart::kValue:
-      return {&field, what, value, Id()};
+      return {&field, what, group.has_status ? Needed::kEverywhere : Needed::kNowhere, Id()};
     case PointPart::kRandom:
       return {&field, "random sigma of the " + what, Needed::kEverywhere, Id()};
     case PointPart::kCalibration:
@@ -62,20 +59,32 @@ OpenField Describe(const PointField& field, bool has_modes) {
       return {&field, "covariance", Needed::kEverywhere, Id()};
     case PointPart::kPrincipal:
       return {&field, "principal " + what, Needed::kEverywhere, Id()};
+    case PointPart::kPrincipalRandom:
+      return {&field, "random sigma of the principal " + what, Needed::kNowhere, Id()};
+    case PointPart::kGradient:
+      return {&field, "gradient", Needed::kNowhere, Id()};
+    case PointPart::kGradientRandom:
+      return {&field, "random sigma of the gradient", Needed::kNowhere, Id()};
+    case PointPart::kGradientCovariance:
+      return {&field, "covariance of the gradient", Needed::kNowhere, Id()};
     default:
       return {&field, "direction of principal " + what, Needed::kNowhere, Id()};
   }
 }
 
+// Of the match, which may tell something where it failed, or no number.
+bool IsFree(PointPart part) {
+  return part == PointPart::kStatus || part == PointPart::kCorrelation ||
+         part == PointPart::kEpipolar || part == PointPart::kIterations;
+}
+
 // The fields of a group that go by its vectors, these first. None where the vectors are not there.
-std::vector<OpenField> FieldsOf(hid_t file, PointGroup group, const Shape& size, bool has_modes) {
+std::vector<OpenField> FieldsOf(hid_t file, const PointLayout& layout, std::size_t group,
+                                const Shape& size, bool has_modes) {
   std::vector<OpenField> fields;
-  for (const PointField& field : PointFields()) {
-    if (field.group != group || field.is_status() || field.part == PointPart::kCorrelation ||
-        field.part == PointPart::kEpipolar) {
-      continue;
-    }
-    OpenField open = Describe(field, has_modes);
+  for (const PointField& field : layout.fields) {
+    if (field.group != group || IsFree(field.part)) continue;
+    OpenField open = Describe(field, layout.groups[group], has_modes);
     open.dataset = OpenIfFits(file, field.Path(), size);
     if (open.dataset.get() >= 0) fields.push_back(std::move(open));
   }
@@ -128,18 +137,18 @@ void CheckPoints(const std::vector<float>& values, const std::vector<std::uint8_
   }
 }
 
-// One group of one frame. At a point with the status ok the surface has to be there, other vectors
-// may be missing; all else of the group has to be there where the vector is.
-void CheckGroup(const std::vector<OpenField>& fields, std::vector<std::uint8_t> expected,
-                hsize_t frame, Findings* findings) {
+// One group of one frame. At a point with the status ok the vectors that this status tells of have
+// to be there, other vectors may be missing; all else of the group has to be there where the vector
+// is.
+void CheckGroup(const PointGroupFacts& group, const std::vector<OpenField>& fields,
+                std::vector<std::uint8_t> expected, hsize_t frame, Findings* findings) {
   for (const OpenField& field : fields) {
     const auto values = hdf5::ReadSlab<float>(field.dataset, frame, kMaxFrameElements);
-    const bool is_surface = field.field->group == kSurface;
     const bool is_vector = field.field->part == PointPart::kValue;
-    const std::string what(kPointGroups[field.field->group].what);
-    CheckPoints(values, expected, field, is_surface || is_vector ? "status" : "missing " + what,
-                frame, findings);
-    if (is_surface || !is_vector) continue;
+    const std::string what(group.what);
+    CheckPoints(values, expected, field,
+                group.has_status || is_vector ? "status" : "missing " + what, frame, findings);
+    if (group.has_status || !is_vector) continue;
     const std::size_t components = values.size() / expected.size();
     for (std::size_t i = 0; i < expected.size(); ++i) {
       if (Look(values.data() + i * components, components) == Found::kNothing) expected[i] = 0;
@@ -147,35 +156,53 @@ void CheckGroup(const std::vector<OpenField>& fields, std::vector<std::uint8_t> 
   }
 }
 
-void CheckFieldsOfPoints(hid_t file, hsize_t frames, Findings* findings) {
-  const Id status = hdf5::OpenDataset(file, "/surface/status");
+// Where the status of one frame is ok.
+std::vector<std::uint8_t> WhereOk(const PointLayout& layout, const Id& status,
+                                  const Id& frame_status, hsize_t frame, Findings* findings) {
+  const auto codes = hdf5::ReadSlabBytes(status, frame, kMaxFrameElements);
+  std::vector<std::uint8_t> ok(codes.size());
+  std::transform(codes.begin(), codes.end(), ok.begin(), [](std::uint8_t code) {
+    return static_cast<std::uint8_t>(code == static_cast<std::uint8_t>(Status::kOk) ? 1 : 0);
+  });
+  const auto count = std::count(ok.begin(), ok.end(), std::uint8_t{1});
+  const auto unknown = std::count_if(codes.begin(), codes.end(),
+                                     [](std::uint8_t code) { return code >= kStatusNames.size(); });
+  if (unknown > 0) {
+    findings->push_back(fmt::format("frame {}: {} points have an unknown status", frame, unknown));
+  }
+  if (hdf5::ReadSlabBytes(frame_status, frame, 1).at(0) != 0 && count > 0) {
+    findings->push_back(
+        fmt::format("frame {}: {} points have the status ok in a frame without a {}", frame, count,
+                    layout.what));
+  }
+  return ok;
+}
+
+void CheckFieldsOfPoints(hid_t file, const PointLayout& layout, hsize_t frames,
+                         Findings* findings) {
+  const auto status_path = [&](std::size_t group) {
+    return layout.FieldOf(static_cast<std::uint8_t>(group), PointPart::kStatus).Path();
+  };
   const Id frame_status = hdf5::OpenDataset(file, "/frames/status");
-  const Shape size = hdf5::ShapeOf(status);
+  const Shape size = hdf5::ShapeOf(hdf5::OpenDataset(file, status_path(0)));
   if (size.size() != 3 || size[0] != frames || size[1] == 0 || size[2] == 0) return;
   const bool has_modes =
       hdf5::Exists(file, "/rig/mode") &&
       hdf5::ElementCount(hdf5::ShapeOf(hdf5::OpenDataset(file, "/rig/mode"))) > 0;
   std::vector<std::vector<OpenField>> groups;
-  for (int group = 0; group < kPointGroupCount; ++group) {
-    groups.push_back(FieldsOf(file, static_cast<PointGroup>(group), size, has_modes));
+  std::vector<Id> statuses;
+  for (std::size_t g = 0; g < layout.groups.size(); ++g) {
+    groups.push_back(FieldsOf(file, layout, g, size, has_modes));
+    statuses.push_back(layout.groups[g].has_status ? OpenIfFits(file, status_path(g), size) : Id());
   }
   for (hsize_t i = 0; i < frames; ++i) {
-    const auto codes = hdf5::ReadSlabBytes(status, i, kMaxFrameElements);
-    std::vector<std::uint8_t> ok(codes.size());
-    std::transform(codes.begin(), codes.end(), ok.begin(), [](std::uint8_t code) {
-      return static_cast<std::uint8_t>(code == static_cast<std::uint8_t>(Status::kOk) ? 1 : 0);
-    });
-    const auto count = std::count(ok.begin(), ok.end(), std::uint8_t{1});
-    const auto unknown = std::count_if(
-        codes.begin(), codes.end(), [](std::uint8_t code) { return code >= kStatusNames.size(); });
-    if (unknown > 0) {
-      findings->push_back(fmt::format("frame {}: {} points have an unknown status", i, unknown));
+    std::vector<std::uint8_t> ok;
+    for (std::size_t g = 0; g < groups.size(); ++g) {
+      const bool has_status = layout.groups[g].has_status;
+      if (has_status && statuses[g].get() < 0) continue;
+      if (has_status) ok = WhereOk(layout, statuses[g], frame_status, i, findings);
+      CheckGroup(layout.groups[g], groups[g], ok, i, findings);
     }
-    if (hdf5::ReadSlabBytes(frame_status, i, 1).at(0) != 0 && count > 0) {
-      findings->push_back(fmt::format(
-          "frame {}: {} points have the status ok in a frame without a surface", i, count));
-    }
-    for (const auto& fields : groups) CheckGroup(fields, ok, i, findings);
   }
 }
 
@@ -263,6 +290,8 @@ void CheckProblems(hid_t file, const std::string& group, const std::string& what
 }  // namespace
 
 Findings CheckValues(hid_t file) {
+  const PointLayout& layout = IsPlanar(file) ? PlanarPoints() : StereoPoints();
+  const std::string status = layout.FieldOf(0, PointPart::kStatus).Path();
   Findings findings;
   const auto attempt = [&](const auto& run) {
     try {
@@ -273,15 +302,16 @@ Findings CheckValues(hid_t file) {
   };
   const auto is_there = [&](const std::string& path) { return hdf5::Exists(file, path); };
   attempt([&] { CheckChannels(file, &findings); });
-  for (const char* path : {"/frames/status", "/surface/status", "/frames/problem"}) {
+  for (const std::string& path :
+       {std::string("/frames/status"), status, std::string("/frames/problem")}) {
     if (!is_there(path)) return findings;
   }
   attempt([&] {
     const Shape shape = hdf5::ShapeOf(hdf5::OpenDataset(file, "/frames/status"));
     if (shape.size() != 1) return;
     if (shape[0] > kMaxFrames) throw hdf5::Error("/frames/status is too large");
-    attempt([&] { CheckFieldsOfPoints(file, shape[0], &findings); });
-    attempt([&] { CheckProblems(file, "/frames", "surface", shape[0], &findings); });
+    attempt([&] { CheckFieldsOfPoints(file, layout, shape[0], &findings); });
+    attempt([&] { CheckProblems(file, "/frames", std::string(layout.what), shape[0], &findings); });
     for (const RecordGroup& group : RecordGroups()) {
       if (!is_there(group.path + "/status") || !is_there(group.path + "/problem")) continue;
       attempt([&] { CheckRecords(file, group, shape[0], &findings); });

@@ -1,0 +1,46 @@
+#pragma once
+
+#include <cstdint>
+#include <filesystem>
+#include <functional>
+#include <memory>
+#include <span>
+#include <vector>
+
+#include "io/internal/point_layout.h"
+
+namespace plumbline::internal {
+
+// A series of either kind while it is being written: the parts folder with header and journal, and
+// the packing at its end. SeriesWriter tells what it promises.
+//
+// Not thread-safe.
+class SeriesRun {
+ public:
+  // write_header writes header.h5 under the name that it is given. Throws EnvironmentError,
+  // InputError where an unfinished run of the same name is there, and what write_header throws;
+  // nothing is left behind then.
+  SeriesRun(const std::filesystem::path& file, const SeriesShape& shape,
+            const std::vector<std::filesystem::path>& inputs,
+            const std::function<void(const std::filesystem::path&)>& write_header);
+
+  // Without Close(): keeps the parts if a frame was committed.
+  ~SeriesRun();
+  SeriesRun(const SeriesRun&) = delete;
+  SeriesRun& operator=(const SeriesRun&) = delete;
+
+  const SeriesShape& shape() const;
+  std::int64_t committed() const;
+
+  // What the packer of this kind of series decodes. Throws EnvironmentError.
+  void Commit(std::span<const std::uint8_t> record);
+
+  // Throws EnvironmentError; the parts then stay.
+  void Close();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace plumbline::internal
