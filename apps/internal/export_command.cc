@@ -2,11 +2,12 @@
 
 #include <algorithm>
 #include <filesystem>
+#include <functional>
 
 #include "apps/internal/command.h"
+#include "apps/internal/result_file.h"
 #include "calib/error.h"
 #include "io/export.h"
-#include "io/series_reader.h"
 
 namespace plumbline::internal {
 namespace {
@@ -17,6 +18,10 @@ namespace fs = std::filesystem;
 fs::path NumberedFile(const fs::path& file, std::int64_t index) {
   return file.parent_path() /
          fmt::format("{}_{:04}{}", file.stem().string(), index, file.extension().string());
+}
+
+std::int64_t CountOk(const Image<Status>& status) {
+  return std::count(status.values().begin(), status.values().end(), Status::kOk);
 }
 
 class ExportCommand : public Command {
@@ -32,14 +37,16 @@ class ExportCommand : public Command {
 
   void Declare(OptionTable& options) override {
     options.Add({.name = "FILE",
-                 .help = "a run, as plumbline measure writes it",
+                 .help = "a run, as plumbline measure or correlate writes it",
                  .required = true,
                  .positional = true},
                 &file_);
-    options.Add({.name = "format",
-                 .help = "of the valid points: ply is binary, csv is text",
-                 .choices = {"ply", "csv"}},
-                &format_);
+    options.Add(
+        {.name = "format",
+         .help = "of the valid points: ply is binary, csv is text; of one camera csv, with all "
+                 "points and their status",
+         .choices = {"ply", "csv"}},
+        &format_);
     options.Add({.name = "output",
                  .help = "where the points go; empty: beside the run. Of several frames, each gets "
                          "a file with its number",
@@ -51,8 +58,39 @@ class ExportCommand : public Command {
   }
 
   CommandReport Run(const CommonOptions& common, const std::string&) override {
-    const SeriesReader series(file_);
-    const std::int64_t count = series.frame_count();
+    const ResultFile result = OpenResultFile(file_);
+    if (result.planar) {
+      if (format_ == "ply") {
+        throw UsageError("'" + file_ +
+                         "' is of one camera: its points have no place in space. Export them with "
+                         "--format csv.");
+      }
+      return Export(common, result.planar->frame_count(), [&](std::int64_t i, const fs::path& to) {
+        const PlanarSeriesFrame frame = result.planar->Frame(i);
+        if (frame.problem.empty()) ExportCsv(to, frame, CsvPoints::kAll);
+        return Exported{frame.problem, CountOk(frame.field.status)};
+      });
+    }
+    if (!result.series) {
+      throw InputError(fmt::format("'{}' is a rig file, which has no points.", file_));
+    }
+    return Export(common, result.series->frame_count(), [&](std::int64_t i, const fs::path& to) {
+      const SeriesFrame frame = result.series->Frame(i);
+      if (frame.problem.empty() && format_ == "ply") ExportPly(to, frame);
+      if (frame.problem.empty() && format_ == "csv") ExportCsv(to, frame);
+      return Exported{frame.problem, CountOk(frame.surface.status)};
+    });
+  }
+
+ private:
+  struct Exported {
+    std::string problem;  // why nothing was written
+    std::int64_t valid_points = 0;
+  };
+
+  // write(i, name of its file) writes frame i.
+  CommandReport Export(const CommonOptions& common, std::int64_t count,
+                       const std::function<Exported(std::int64_t, const fs::path&)>& write) const {
     if (frame_ && *frame_ >= count) {
       throw UsageError(
           fmt::format("--frame {}: '{}' has {} frames, counted from 0.", *frame_, file_, count));
@@ -64,31 +102,22 @@ class ExportCommand : public Command {
     std::int64_t skipped = 0;
     const std::int64_t first = frame_.value_or(0);
     const std::int64_t last = frame_ ? first + 1 : count;
-    {
-      Progress progress("writing", last - first, common.progress());
-      for (std::int64_t i = first; i < last; ++i, progress.Advance()) {
-        const SeriesFrame frame = series.Frame(i);
-        if (!frame.problem.empty()) {
-          if (frame_) {
-            throw InputError(fmt::format("Frame {} has no points: {}", i, frame.problem));
-          }
-          ++skipped;
-          continue;
-        }
-        const fs::path file = last - first > 1 ? NumberedFile(base, i) : base;
-        if (format_ == "ply") {
-          ExportPly(file, frame);
-        } else {
-          ExportCsv(file, frame);
-        }
-        const auto& status = frame.surface.status.values();
-        const auto points = std::count(status.begin(), status.end(), Status::kOk);
-        report.json["files"].push_back({{"file", file.string()}, {"frame", i}, {"points", points}});
-        if (last - first <= 8) {
-          report.text +=
-              fmt::format("Wrote {} valid points of frame {} to {}.\n", points, i, file.string());
-        }
+    Progress progress("writing", last - first, common.progress());
+    for (std::int64_t i = first; i < last; ++i, progress.Advance()) {
+      const fs::path file = last - first > 1 ? NumberedFile(base, i) : base;
+      const Exported exported = write(i, file);
+      if (!exported.problem.empty() && frame_) {
+        throw InputError(fmt::format("Frame {} has no points: {}", i, exported.problem));
       }
+      if (!exported.problem.empty()) {
+        ++skipped;
+        continue;
+      }
+      report.json["files"].push_back(
+          {{"file", file.string()}, {"frame", i}, {"points", exported.valid_points}});
+      if (last - first > 8) continue;
+      report.text += fmt::format("Wrote {} valid points of frame {} to {}.\n",
+                                 exported.valid_points, i, file.string());
     }
     if (last - first > 8) {
       report.text += fmt::format("Wrote {} files, {} and so on.\n", last - first - skipped,
@@ -101,7 +130,6 @@ class ExportCommand : public Command {
     return report;
   }
 
- private:
   std::string file_, output_, format_ = "ply";
   std::optional<int> frame_;
 };

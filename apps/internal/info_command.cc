@@ -25,6 +25,10 @@ class InfoCommand : public Command {
     const ResultFile file = OpenResultFile(file_);
     CommandReport report;
     report.json["file"] = file_;
+    if (file.planar) {
+      DescribePlanar(*file.planar, report);
+      return report;
+    }
     report.json["baseline_mm"] = file.rig->baseline_mm();
     report.json["calibration_modes"] = file.rig->modes.count();
     report.json["board"] = file.rig->board;
@@ -45,12 +49,7 @@ class InfoCommand : public Command {
     report.text =
         fmt::format("{}: a run of {} frames, {} by {} points a frame, every {} px.\n", file_,
                     series.frame_count(), grid.height, grid.width, series.step_px());
-    report.text += fmt::format("  written {} by {}\n", facts.created, facts.software);
-    report.json["format"] = "plumbline-series";
-    report.json["created"] = facts.created;
-    report.json["software"] = facts.software;
-    report.json["recipe"] = facts.recipe_toml;
-    report.json["inputs"] = nlohmann::json::parse(facts.inputs_json, nullptr, false);
+    DescribeFacts(facts, report);
     report.json["grid"] = {grid.height, grid.width};
     report.json["step_px"] = series.step_px();
     report.json["subset_px"] = series.subset_px();
@@ -62,21 +61,15 @@ class InfoCommand : public Command {
     }
     if (!also.empty()) report.text += fmt::format("  with {}\n", fmt::join(also, ", "));
     report.json["frames"] = nlohmann::json::array();
-    constexpr std::int64_t kMostLines = 20;
     for (std::int64_t i = 0; i < series.frame_count(); ++i) {
       const SeriesFrame frame = series.Frame(i);
-      const auto& status = frame.surface.status.values();
-      const auto valid = std::count(status.begin(), status.end(), Status::kOk);
+      const auto valid = CountOk(frame.surface.status);
       nlohmann::json row = {{"index", frame.index},
                             {"left", frame.left_id},
                             {"valid_points", valid},
                             {"problem", frame.problem},
                             {"plane", frame.ground.found}};
-      std::string line = fmt::format("  frame {} ({})", frame.index, frame.left_id);
-      if (std::isfinite(frame.time_s)) {
-        row["time_s"] = frame.time_s;
-        line += fmt::format(" at {:.3f} s", frame.time_s);
-      }
+      std::string line = FrameLine(frame.index, frame.left_id, frame.time_s, row);
       if (!frame.problem.empty()) {
         line += ": bad. " + frame.problem;
       } else {
@@ -90,9 +83,102 @@ class InfoCommand : public Command {
       report.json["frames"].push_back(std::move(row));
       if (i < kMostLines) report.text += line + "\n";
     }
-    if (series.frame_count() > kMostLines) {
-      report.text += fmt::format("  ... {} more frames (--json lists all)\n",
-                                 series.frame_count() - kMostLines);
+    DescribeEnd(series.frame_count(), facts, report);
+  }
+
+  void DescribePlanar(const PlanarSeriesReader& series, CommandReport& report) const {
+    const PlanarSeriesHeader& header = series.header();
+    report.text = fmt::format(
+        "{}: a run of one camera, {} frames, {} by {} points a frame, every {} px, subset {} px, "
+        "order {}.\n",
+        file_, series.frame_count(), header.grid.height, header.grid.width, header.step_px,
+        header.subset_px, header.order);
+    DescribeFacts(series.facts(), report);
+    report.json["geometry"] = "planar";
+    report.json["grid"] = {header.grid.height, header.grid.width};
+    report.json["step_px"] = header.step_px;
+    report.json["subset_px"] = header.subset_px;
+    report.json["order"] = header.order;
+    report.json["interpolation"] = header.interpolation;
+    report.json["prefilter_sigma_px"] = header.prefilter_sigma_px;
+    report.json["reference"] = header.reference;
+    report.json["reference_id"] = header.reference_id;
+    report.json["contents"] = Names(header.contents);
+    report.json["camera"] = {
+        {"size", {header.camera.image_size.width, header.camera.image_size.height}},
+        {"bits", header.camera.bits},
+        {"noise_offset_grey2", header.camera.noise.offset_grey2},
+        {"noise_slope_grey", header.camera.noise.slope_grey},
+        {"noise_source", header.camera.noise_source}};
+    report.text += fmt::format(
+        "  camera: {}x{} px, {} bits; noise variance {:.3g} + {:.3g} g at grey level g{}\n",
+        header.camera.image_size.width, header.camera.image_size.height, header.camera.bits,
+        header.camera.noise.offset_grey2, header.camera.noise.slope_grey,
+        header.camera.noise_source.empty() ? "" : ", from " + header.camera.noise_source);
+    if (header.contents.strain) {
+      report.json["strain_measure"] = header.strain_measure;
+      report.json["vsg_px"] = header.vsg_px;
+      report.json["window_points"] = header.window_points;
+      report.text +=
+          fmt::format("  strain: {}, gauge of {} px, {} by {} points\n", header.strain_measure,
+                      header.vsg_px, header.window_points, header.window_points);
+    }
+    DescribePlanarFrames(series, report);
+    DescribeEnd(series.frame_count(), series.facts(), report);
+  }
+
+  static void DescribePlanarFrames(const PlanarSeriesReader& series, CommandReport& report) {
+    report.json["frames"] = nlohmann::json::array();
+    for (std::int64_t i = 0; i < series.frame_count(); ++i) {
+      const PlanarSeriesFrame frame = series.Frame(i);
+      const auto valid = CountOk(frame.field.status);
+      nlohmann::json row = {{"index", frame.index},
+                            {"image", frame.id},
+                            {"valid_points", valid},
+                            {"problem", frame.problem},
+                            {"reference_index", frame.reference_index}};
+      std::string line = FrameLine(frame.index, frame.id, frame.time_s, row);
+      if (!frame.problem.empty()) {
+        line += ": bad. " + frame.problem;
+      } else {
+        line += fmt::format(": {} points", valid);
+      }
+      if (series.header().contents.strain && frame.problem.empty()) {
+        row["strain_points"] = CountOk(frame.strain.status);
+        line += fmt::format(", {} with strain", CountOk(frame.strain.status));
+      }
+      report.json["frames"].push_back(std::move(row));
+      if (i < kMostLines) report.text += line + "\n";
+    }
+  }
+
+  static constexpr std::int64_t kMostLines = 20;
+
+  static std::int64_t CountOk(const Image<Status>& status) {
+    return std::count(status.values().begin(), status.values().end(), Status::kOk);
+  }
+
+  // How the line of a frame begins; adds the time to its row.
+  static std::string FrameLine(std::int64_t index, const std::string& id, double time_s,
+                               nlohmann::json& row) {
+    std::string line = fmt::format("  frame {} ({})", index, id);
+    if (!std::isfinite(time_s)) return line;
+    row["time_s"] = time_s;
+    return line + fmt::format(" at {:.3f} s", time_s);
+  }
+
+  static void DescribeFacts(const SeriesFacts& facts, CommandReport& report) {
+    report.text += fmt::format("  written {} by {}\n", facts.created, facts.software);
+    report.json["format"] = "plumbline-series";
+    report.json["created"] = facts.created;
+    report.json["software"] = facts.software;
+    report.json["recipe"] = facts.recipe_toml;
+    report.json["inputs"] = nlohmann::json::parse(facts.inputs_json, nullptr, false);
+  }
+
+  void DescribeEnd(std::int64_t frames, const SeriesFacts& facts, CommandReport& report) const {
+    if (frames > kMostLines) {
+      report.text += fmt::format("  ... {} more frames (--json lists all)\n", frames - kMostLines);
     }
     if (recipe_) report.text += "Recipe:\n" + facts.recipe_toml;
   }

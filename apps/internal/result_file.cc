@@ -10,6 +10,19 @@
 namespace plumbline::internal {
 namespace fs = std::filesystem;
 
+namespace {
+
+// Of what cannot be read at all, the readers say why.
+bool IsOfOneCamera(const std::string& path) {
+  try {
+    return IsPlanarSeries(path);
+  } catch (const InputError&) {
+    return false;
+  }
+}
+
+}  // namespace
+
 ResultFile OpenResultFile(const std::string& path) {
   if (!fs::is_regular_file(path)) {
     std::string parts = path;
@@ -24,6 +37,10 @@ ResultFile OpenResultFile(const std::string& path) {
     throw InputError(fmt::format("There is no file '{}'.", path));
   }
   ResultFile file;
+  if (IsOfOneCamera(path)) {
+    file.planar = std::make_unique<PlanarSeriesReader>(path);
+    return file;
+  }
   std::string why_no_series;
   try {
     file.series = std::make_unique<SeriesReader>(path);

@@ -6,14 +6,16 @@
 #include <string>
 
 #include "calib/stereo_rig.h"
+#include "io/planar_series_reader.h"
 #include "io/series_reader.h"
 
 namespace plumbline::internal {
 
 // A file that `info` and `validate` are asked about, opened as what it is.
 struct ResultFile {
-  std::unique_ptr<SeriesReader> series;  // a run
-  std::optional<StereoRig> rig;          // of a run too
+  std::unique_ptr<SeriesReader> series;        // a run of a rig
+  std::unique_ptr<PlanarSeriesReader> planar;  // a run of one camera
+  std::optional<StereoRig> rig;                // of a run of a rig too
 };
 
 // Throws InputError when it is neither a run nor a rig file, saying what to do where that is known

@@ -22,13 +22,12 @@ class ValidateCommand : public Command {
 
   CommandReport Run(const CommonOptions&, const std::string&) override {
     // What cannot be opened at all is refused in words; damage further in is listed.
-    const bool is_series = OpenResultFile(file_).series != nullptr;
+    const std::string_view what = WhatIs(OpenResultFile(file_));
     const std::vector<std::string> faults = Validate(file_);
     CommandReport report;
     report.json = {{"file", file_}, {"valid", faults.empty()}, {"faults", faults}};
     if (faults.empty()) {
-      report.text = fmt::format("{} is whole: {}.\n", file_,
-                                is_series ? "a run with its rig, every frame read" : "a rig file");
+      report.text = fmt::format("{} is whole: {}.\n", file_, what);
       return report;
     }
     report.text = fmt::format("{} is damaged:\n", file_);
@@ -38,6 +37,11 @@ class ValidateCommand : public Command {
   }
 
  private:
+  static std::string_view WhatIs(const ResultFile& file) {
+    if (file.planar) return "a run of one camera, every frame read";
+    return file.series ? "a run with its rig, every frame read" : "a rig file";
+  }
+
   std::string file_;
 };
 
