@@ -17,7 +17,6 @@ namespace {
 using internal::NormalEquations;
 using internal::PackedSubset;
 using internal::ProductSums;
-using internal::ShapeMatrix;
 using internal::TargetPixels;
 
 // A drop of the correlation that cannot be rounding: the step is taken back and damped.
@@ -306,14 +305,14 @@ SubsetMatch SubsetCorrelator::Match(const CorrelationImage& deformed, const Eige
     noise = SumProducts(subset.pixels, subset.pixels.noise_x, subset.pixels.noise_y, order);
   }
   const double variance = impl.VarianceOf(equations, fit, subset, deformed, pixel, match.warp);
-  const ShapeMatrix covariance =
+  const NormalEquations::Covariance covariance =
       variance * equations.CovariancePerVariance(impl.filtered ? &noise : nullptr);
-  const int terms = internal::kShapeTerms[order];
   match.noise_grey = std::sqrt(variance / (1 + 1 / (fit.gain * fit.gain)));
-  match.cov_displacement_px2 << covariance(0, 0), covariance(0, terms), covariance(terms, 0),
-      covariance(terms, terms);
+  const int v = static_cast<int>(covariance.rows()) / 2;
+  match.cov_displacement_px2 << covariance(0, 0), covariance(0, v), covariance(v, 0),
+      covariance(v, v);
   if (order > 0) {
-    const int places[4] = {1, 2, terms + 1, terms + 2};
+    const int places[4] = {1, 2, 4, 5};
     for (int i = 0; i < 4; ++i) {
       for (int k = 0; k < 4; ++k) match.cov_gradient(i, k) = covariance(places[i], places[k]);
     }

@@ -95,6 +95,7 @@ SubsetWarp Inverse(const SubsetWarp& warp) {
   // second order is what cancels q there.
   const Eigen::Matrix2d back = affine.inverse();
   SubsetWarp inverse = SubsetWarp::Of(-back * warp.c.col(0), back - Eigen::Matrix2d::Identity());
+  if (warp.c.rightCols<3>().isZero(0)) return inverse;
   // w(inverse(x)) - x is of first order in q; two Newton steps leave nothing below the third order.
   for (int step = 0; step < 3; ++step) {
     const SubsetWarp excess = Compose(warp, inverse);

@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <type_traits>
 
 namespace plumbline::internal {
 namespace {
@@ -14,6 +15,19 @@ constexpr int kPowerY[6] = {0, 0, 1, 0, 1, 2};
 constexpr int ProductPlace(int a, int b) {
   const int degree = kPowerX[a] + kPowerY[a] + kPowerX[b] + kPowerY[b];
   return degree * (degree + 1) / 2 + kPowerY[a] + kPowerY[b];
+}
+
+// Calls visit with the number of unknowns as a compile-time constant, so that Eigen unrolls.
+template <typename Visit>
+auto WithSize(int unknowns, const Visit& visit) {
+  switch (unknowns) {
+    case 2:
+      return visit(std::integral_constant<int, 2>());
+    case 6:
+      return visit(std::integral_constant<int, 6>());
+    default:
+      return visit(std::integral_constant<int, 12>());
+  }
 }
 
 ShapeVector Stacked(const double* x, const double* y, int terms) {
@@ -43,9 +57,12 @@ NormalEquations::NormalEquations(int order, int pixel_count, const ReferenceSums
   if (!(information_.diagonal().minCoeff() > 0) || !information_.allFinite()) return;
   scale_ = information_.diagonal().cwiseSqrt().cwiseInverse();
   const ShapeMatrix scaled = scale_.asDiagonal() * information_ * scale_.asDiagonal();
-  const Eigen::LLT<ShapeMatrix> llt(scaled);
-  if (llt.info() != Eigen::Success) return;
-  factor_ = llt.matrixL();
+  const bool positive = WithSize(unknowns(), [&](auto size) {
+    const Eigen::LLT<Eigen::Matrix<double, size, size>> llt(scaled);
+    factor_ = llt.matrixL();
+    return llt.info() == Eigen::Success;
+  });
+  if (!positive) return;
   // The sums are of floats: what lies below their rounding is no information.
   solvable_ = factor_.diagonal().minCoeff() > 1e-3;
 }
@@ -98,21 +115,38 @@ bool NormalEquations::Step(const Fit& fit, double lambda, SubsetWarp& step) cons
   return true;
 }
 
-ShapeMatrix NormalEquations::CovariancePerVariance(const ProductSums* noise) const {
-  // In the scaled unknowns: with H~ = L L', L^-1 M~ L^-T first.
-  ShapeMatrix inverse = ShapeMatrix::Identity(2 * terms_, 2 * terms_);
-  factor_.triangularView<Eigen::Lower>().solveInPlace(inverse);
-  ShapeMatrix covariance;
-  if (noise == nullptr) {
-    covariance = inverse.transpose() * inverse;
-  } else {
-    // Gain and offset take out what is smooth over the subset, which the filter leaves as it is.
-    const ShapeMatrix of_noise = Assemble(*noise) - (full_ - information_);
-    const ShapeMatrix scaled = scale_.asDiagonal() * of_noise * scale_.asDiagonal();
-    const ShapeMatrix middle = inverse * scaled * inverse.transpose();
-    covariance = inverse.transpose() * middle * inverse;
-  }
-  return scale_.asDiagonal() * covariance * scale_.asDiagonal();
+NormalEquations::Covariance NormalEquations::CovariancePerVariance(const ProductSums* noise) const {
+  // Of the scaled unknowns: with H~ = L L', first the wanted columns W = H~^-1 E, then W' M~ W.
+  const int wanted = std::min(terms_, 3);
+  return WithSize(unknowns(), [&](auto size) -> Covariance {
+    constexpr int kColumns = std::min<int>(size, 6);
+    using Square = Eigen::Matrix<double, size, size>;
+    using Columns = Eigen::Matrix<double, size, kColumns>;
+    const Square factor = factor_;
+    Columns solved = Columns::Zero();
+    for (int k = 0; k < wanted; ++k) {
+      solved(k, k) = 1;
+      solved(terms_ + k, wanted + k) = 1;
+    }
+    factor.template triangularView<Eigen::Lower>().solveInPlace(solved);
+    Eigen::Matrix<double, kColumns, kColumns> covariance;
+    if (noise == nullptr) {
+      covariance.noalias() = solved.transpose() * solved;
+    } else {
+      factor.template triangularView<Eigen::Lower>().transpose().solveInPlace(solved);
+      // Gain and offset take out what is smooth over the subset, which the filter leaves as it is.
+      const Square of_noise = Assemble(*noise) - (full_ - information_);
+      const Square scaled = scale_.asDiagonal() * of_noise * scale_.asDiagonal();
+      const Columns half = scaled * solved;
+      covariance.noalias() = solved.transpose() * half;
+    }
+    Eigen::Matrix<double, kColumns, 1> scale;
+    for (int k = 0; k < wanted; ++k) {
+      scale[k] = scale_[k];
+      scale[wanted + k] = scale_[terms_ + k];
+    }
+    return scale.asDiagonal() * covariance * scale.asDiagonal();
+  });
 }
 
 double NormalEquations::MeanSquareShift(const SubsetWarp& step, double radius_px) {

@@ -38,9 +38,11 @@ class NormalEquations {
   // positive.
   bool Step(const Fit& fit, double lambda, SubsetWarp& step) const;
 
-  // H~^-1 M~ H~^-1 per variance of a raw pixel; `noise` are the products of the gradients filtered
-  // once more, or null where there is no filter.
-  ShapeMatrix CovariancePerVariance(const ProductSums* noise) const;
+  // H~^-1 M~ H~^-1 per variance of a raw pixel, of the displacement and its gradient: u, du/dx,
+  // du/dy, v, dv/dx, dv/dy (order 0: u, v). `noise` are the products of the gradients filtered once
+  // more, or null where there is no filter.
+  using Covariance = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 6, 6>;
+  Covariance CovariancePerVariance(const ProductSums* noise) const;
 
   // Mean square shift of the subset's pixels by a step, for squares of this radius.
   static double MeanSquareShift(const SubsetWarp& step, double radius_px);

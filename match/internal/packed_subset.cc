@@ -18,14 +18,14 @@ float* AlignedFloats::Resize(std::size_t size) {
 }
 
 SubsetOutline SubsetOutline::Square(int radius) {
-  SubsetOutline outline{radius, {}, {}};
+  SubsetOutline outline{radius, false, {}, {}};
   outline.begin.assign(static_cast<std::size_t>(2 * radius + 1), -radius);
   outline.end.assign(static_cast<std::size_t>(2 * radius + 1), radius + 1);
   return outline;
 }
 
 SubsetOutline SubsetOutline::Circle(int radius) {
-  SubsetOutline outline{radius, {}, {}};
+  SubsetOutline outline{radius, true, {}, {}};
   // The disc of diameter 2 radius + 1, by the pixels' centres.
   const double r = radius + 0.5;
   for (int y = -radius; y <= radius; ++y) {
@@ -38,33 +38,15 @@ SubsetOutline SubsetOutline::Circle(int radius) {
 
 namespace {
 
-// The planes' values in a row, those between that do not count set to zero.
-void CopyRow(const Image<float>* plane, int row, int column, int count, int padded, float offset,
-             const float* weight, float* to) {
-  if (plane == nullptr) return;
-  const float* from = plane->row(row) + column;
-  for (int i = 0; i < count; ++i) to[i] = weight[i] * (from[i] - offset);
-  std::fill(to + count, to + padded, 0.0F);
-}
-
-}  // namespace
-
-int Pack(const ReferencePlanes& planes, const SubsetOutline& outline, int column, int row,
-         float grey_offset, PackedSubset& subset) {
+// Lists the rows of the subset and sets the weights. Returns how many pixels count.
+int TakeRows(const ReferencePlanes& planes, const SubsetOutline& outline, int column, int row,
+             PackedSubset& subset) {
   const ImageSize size = planes.grey->size();
-  const int side = 2 * outline.radius + 1;
-  const int most = (side + PackedSubset::kRun - 1) / PackedSubset::kRun * PackedSubset::kRun;
-  const std::size_t values = static_cast<std::size_t>(side) * static_cast<std::size_t>(most);
-  float* weight = subset.weight.Resize(values);
-  float* grey = subset.grey.Resize(values);
-  float* gradient_x = subset.gradient_x.Resize(values);
-  float* gradient_y = subset.gradient_y.Resize(values);
-  float* noise_x = planes.noise_x != nullptr ? subset.noise_x.Resize(values) : nullptr;
-  float* noise_y = planes.noise_y != nullptr ? subset.noise_y.Resize(values) : nullptr;
+  float* weight = subset.weight.data();
   subset.rows.clear();
   std::size_t at = 0;
   int total = 0;
-  for (int i = 0; i < side; ++i) {
+  for (int i = 0; i <= 2 * outline.radius; ++i) {
     const int y = row + i - outline.radius;
     if (y < 0 || y >= size.height) continue;
     const int first = std::max(0, column + outline.begin[static_cast<std::size_t>(i)]);
@@ -72,8 +54,9 @@ int Pack(const ReferencePlanes& planes, const SubsetOutline& outline, int column
     const int count = last - first;
     if (count <= 0) continue;
     const int runs = (count + PackedSubset::kRun - 1) / PackedSubset::kRun;
-    const int padded = runs * PackedSubset::kRun;
+    const auto padded = static_cast<std::size_t>(runs * PackedSubset::kRun);
     int counted = count;
+    std::fill(weight + at, weight + at + padded, 0.0F);
     if (planes.mask != nullptr) {
       const unsigned char* mask = planes.mask->row(y) + first;
       counted = 0;
@@ -85,16 +68,43 @@ int Pack(const ReferencePlanes& planes, const SubsetOutline& outline, int column
     } else {
       std::fill(weight + at, weight + at + count, 1.0F);
     }
-    std::fill(weight + at + count, weight + at + padded, 0.0F);
-    CopyRow(planes.grey, y, first, count, padded, grey_offset, weight + at, grey + at);
-    CopyRow(planes.gradient_x, y, first, count, padded, 0, weight + at, gradient_x + at);
-    CopyRow(planes.gradient_y, y, first, count, padded, 0, weight + at, gradient_y + at);
-    CopyRow(planes.noise_x, y, first, count, padded, 0, weight + at, noise_x + at);
-    CopyRow(planes.noise_y, y, first, count, padded, 0, weight + at, noise_y + at);
-    subset.rows.push_back({static_cast<float>(y - row), first - column, runs, at});
-    at += static_cast<std::size_t>(padded);
+    subset.rows.push_back({static_cast<float>(y - row), first - column, count, runs, at});
+    at += padded;
     total += counted;
   }
+  return total;
+}
+
+}  // namespace
+
+int Pack(const ReferencePlanes& planes, const SubsetOutline& outline, int column, int row,
+         float grey_offset, PackedSubset& subset) {
+  const ImageSize size = planes.grey->size();
+  const int radius = outline.radius;
+  const int side = 2 * radius + 1;
+  const int most = (side + PackedSubset::kRun - 1) / PackedSubset::kRun * PackedSubset::kRun;
+  const std::size_t values = static_cast<std::size_t>(side) * static_cast<std::size_t>(most);
+  const bool masked = planes.mask != nullptr;
+  const bool whole = !masked && column >= radius && row >= radius && column + radius < size.width &&
+                     row + radius < size.height;
+  int total = 0;
+  if (whole && subset.whole_radius == radius && subset.whole_circle == outline.circle) {
+    for (const PackedSubset::Row& r : subset.rows) total += r.count;
+  } else {
+    subset.weight.Resize(values);
+    total = TakeRows(planes, outline, column, row, subset);
+    subset.whole_radius = whole ? radius : -1;
+    subset.whole_circle = outline.circle;
+  }
+  const auto copy = [&](const Image<float>* plane, float offset, AlignedFloats& to) {
+    if (plane == nullptr) return;
+    CopyPlane(subset, plane->row(row) + column, size.width, offset, masked, to.Resize(values));
+  };
+  copy(planes.grey, grey_offset, subset.grey);
+  copy(planes.gradient_x, 0, subset.gradient_x);
+  copy(planes.gradient_y, 0, subset.gradient_y);
+  copy(planes.noise_x, 0, subset.noise_x);
+  copy(planes.noise_y, 0, subset.noise_y);
   return total;
 }
 

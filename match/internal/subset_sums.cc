@@ -31,33 +31,56 @@ class MomentSums {
     for (V& sum : along_row_) sum = hn::Zero(D());
     for (V& sum : sums_) sum = hn::Zero(D());
   }
+  // Written out term by term: every sum stays in a register.
   HWY_INLINE void Add(V v, V x) {
     along_row_[0] = hn::Add(along_row_[0], v);
     if constexpr (kDegree >= 1) along_row_[1] = hn::MulAdd(v, x, along_row_[1]);
     if constexpr (kDegree >= 2) {
-      V power = hn::Mul(x, x);
-      for (int k = 2; k <= kDegree; ++k) {
-        along_row_[k] = hn::MulAdd(v, power, along_row_[k]);
-        if (k < kDegree) power = hn::Mul(power, x);
+      const V xx = hn::Mul(x, x);
+      along_row_[2] = hn::MulAdd(v, xx, along_row_[2]);
+      if constexpr (kDegree >= 4) {
+        const V vxx = hn::Mul(v, xx);
+        along_row_[3] = hn::MulAdd(vxx, x, along_row_[3]);
+        along_row_[4] = hn::MulAdd(vxx, xx, along_row_[4]);
       }
     }
   }
-  HWY_INLINE void EndRow(float y) {
-    // Monomials of degree n stand in the order x^n, x^(n-1) y, ...
-    int place = 0;
-    for (int n = 0; n <= kDegree; ++n) {
-      float power = 1;
-      for (int j = 0; j <= n; ++j, ++place, power *= y) {
-        sums_[place] = hn::MulAdd(along_row_[n - j], hn::Set(D(), power), sums_[place]);
+  // Monomials of degree n stand in the order x^n, x^(n-1) y, ...
+  HWY_INLINE void EndRow(float row) {
+    const D d;
+    const V y = hn::Set(d, row);
+    sums_[0] = hn::Add(sums_[0], along_row_[0]);
+    if constexpr (kDegree >= 1) {
+      sums_[1] = hn::Add(sums_[1], along_row_[1]);
+      sums_[2] = hn::MulAdd(along_row_[0], y, sums_[2]);
+    }
+    if constexpr (kDegree >= 2) {
+      const V yy = hn::Set(d, row * row);
+      sums_[3] = hn::Add(sums_[3], along_row_[2]);
+      sums_[4] = hn::MulAdd(along_row_[1], y, sums_[4]);
+      sums_[5] = hn::MulAdd(along_row_[0], yy, sums_[5]);
+      if constexpr (kDegree >= 4) {
+        const V yyy = hn::Set(d, row * row * row);
+        const V yyyy = hn::Set(d, row * row * row * row);
+        sums_[6] = hn::Add(sums_[6], along_row_[3]);
+        sums_[7] = hn::MulAdd(along_row_[2], y, sums_[7]);
+        sums_[8] = hn::MulAdd(along_row_[1], yy, sums_[8]);
+        sums_[9] = hn::MulAdd(along_row_[0], yyy, sums_[9]);
+        sums_[10] = hn::Add(sums_[10], along_row_[4]);
+        sums_[11] = hn::MulAdd(along_row_[3], y, sums_[11]);
+        sums_[12] = hn::MulAdd(along_row_[2], yy, sums_[12]);
+        sums_[13] = hn::MulAdd(along_row_[1], yyy, sums_[13]);
+        sums_[14] = hn::MulAdd(along_row_[0], yyyy, sums_[14]);
       }
     }
-    for (V& sum : along_row_) sum = hn::Zero(D());
+    for (V& sum : along_row_) sum = hn::Zero(d);
   }
   void Store(double* to) const {
     for (int k = 0; k < kTerms; ++k) to[k] = Total(sums_[k]);
   }
 
  private:
+  static_assert(kDegree <= 2 || kDegree == 4);
   static constexpr int kTerms = (kDegree + 1) * (kDegree + 2) / 2;
   V along_row_[kDegree + 1];
   V sums_[kTerms];
@@ -267,6 +290,28 @@ TargetSums TargetOfOrder(const PackedSubset& subset, const TargetPixels& target)
   return sums;
 }
 
+void CopyHere(const PackedSubset& subset, const float* plane, std::ptrdiff_t stride, float offset,
+              bool weighted, float* to) {
+  const D d;
+  const auto lanes = static_cast<int>(hn::Lanes(d));
+  const V less = hn::Set(d, offset);
+  for (const PackedSubset::Row& row : subset.rows) {
+    const float* from = plane + static_cast<std::ptrdiff_t>(row.y) * stride + row.x;
+    float* begin = to + row.at;
+    int i = 0;
+    for (; i + lanes <= row.count; i += lanes) {
+      hn::Store(hn::Sub(hn::LoadU(d, from + i), less), d, begin + i);
+    }
+    for (; i < row.count; ++i) begin[i] = from[i] - offset;
+    for (; i < row.runs * PackedSubset::kRun; ++i) begin[i] = 0;
+    if (!weighted) continue;
+    for (i = 0; i < row.runs * PackedSubset::kRun; i += lanes) {
+      const V weight = hn::Load(d, subset.weight.data() + row.at + i);
+      hn::Store(hn::Mul(hn::Load(d, begin + i), weight), d, begin + i);
+    }
+  }
+}
+
 ReferenceSums ReferenceHere(const PackedSubset& subset, int order) {
   return order == 0   ? ReferenceOfOrder<0>(subset)
          : order == 1 ? ReferenceOfOrder<1>(subset)
@@ -299,10 +344,16 @@ HWY_AFTER_NAMESPACE();
 #if HWY_ONCE
 namespace plumbline::internal {
 
+HWY_EXPORT(CopyHere);
 HWY_EXPORT(ReferenceHere);
 HWY_EXPORT(ProductsHere);
 HWY_EXPORT(TargetHere);
 HWY_EXPORT(NameHere);
+
+void CopyPlane(const PackedSubset& subset, const float* plane, std::ptrdiff_t stride, float offset,
+               bool weighted, float* to) {
+  HWY_DYNAMIC_DISPATCH(CopyHere)(subset, plane, stride, offset, weighted, to);
+}
 
 ReferenceSums SumReference(const PackedSubset& subset, int order) {
   return HWY_DYNAMIC_DISPATCH(ReferenceHere)(subset, order);

@@ -37,6 +37,7 @@ struct PackedSubset {
   struct Row {
     float y;         // offset of the row from the centre
     int x;           // offset of its first value
+    int count;       // of values, before the zeros
     int runs;        // kRun values each
     std::size_t at;  // of its first value in the arrays
   };
@@ -47,11 +48,15 @@ struct PackedSubset {
   AlignedFloats gradient_y;
   AlignedFloats noise_x;  // other gradients, whose products are wanted alone
   AlignedFloats noise_y;
+  // Rows and weights are those of a whole outline without mask, and serve the next such subset too.
+  int whole_radius = -1;
+  bool whole_circle = false;
 };
 
 // Which pixels belong to a subset: row by row, the offsets [begin[i], end[i]) of row i - radius.
 struct SubsetOutline {
   int radius = 0;
+  bool circle = false;
   std::vector<int> begin, end;
 
   static SubsetOutline Square(int radius);
@@ -113,6 +118,11 @@ ReferenceSums SumReferenceScalar(const PackedSubset& subset, int order);
 ProductSums SumProductsScalar(const PackedSubset& subset, const AlignedFloats& x,
                               const AlignedFloats& y, int order);
 TargetSums SumTargetScalar(const PackedSubset& subset, const TargetPixels& target, int order);
+
+// The rows' values of a plane less an offset, each times the value's weight where some do not
+// count, and zeros behind them. `plane`: at the centre of the subset.
+void CopyPlane(const PackedSubset& subset, const float* plane, std::ptrdiff_t stride, float offset,
+               bool weighted, float* to);
 
 // The instruction set that the sums run on here, for reports ("AVX3", "AVX2", ...).
 const char* SumsInstructionSet();
