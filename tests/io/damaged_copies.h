@@ -59,33 +59,4 @@ void ForGarbledCopies(const std::filesystem::path& whole, const Read& read) {
   }
 }
 
-// Expects that two files hold the same datasets, chunk by chunk as they are stored.
-inline void ExpectSameStoredBytes(const std::filesystem::path& a, const std::filesystem::path& b,
-                                  int least_datasets, int least_chunks) {
-  const auto compared = RunPython(
-      R"py(
-import sys, h5py
-a, b = (h5py.File(name, 'r') for name in sys.argv[1:3])
-names = []
-a.visititems(lambda name, o: names.append(name) if isinstance(o, h5py.Dataset) else None)
-chunks = 0
-for name in names:
-    x, y = a[name], b[name]
-    assert x.dtype == y.dtype and x.shape == y.shape, name
-    if x.dtype == object: assert (x[()] == y[()]) if x.ndim == 0 else list(x[()]) == list(y[()]), name
-    else: assert x[()].tobytes() == y[()].tobytes(), name
-    if x.chunks is None: continue
-    for k in range(x.id.get_num_chunks()):
-        at = x.id.get_chunk_info(k).chunk_offset
-        assert x.id.read_direct_chunk(at) == y.id.read_direct_chunk(at), (name, at)
-        chunks += 1
-assert a.attrs['inputs'] == b.attrs['inputs']
-assert len(names) > int(sys.argv[3]) and chunks > int(sys.argv[4]), (len(names), chunks)
-print('same')
-)py",
-      a.string() + " " + b.string() + " " + std::to_string(least_datasets) + " " +
-          std::to_string(least_chunks));
-  EXPECT_THAT(compared.output, ::testing::HasSubstr("same"));
-}
-
 }  // namespace plumbline::testing

@@ -3,14 +3,15 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include "tests/io/damaged_copies.h"
 #include "tests/io/series_fixture.h"
 #include "tests/support/shared_data.h"
 
 namespace plumbline {
 namespace {
 namespace fs = std::filesystem;
-using ::testing::Contains;
 using ::testing::ElementsAre;
+using testing::ExpectFindings;
 using ::testing::HasSubstr;
 using ::testing::IsEmpty;
 
@@ -35,31 +36,6 @@ fs::path WriteThreeFrames(const fs::path& file) {
   writer.Commit(testing::SmallFrame(2));
   writer.Close();
   return file;
-}
-
-// One way to damage a file: lines of Python on the open file f, and what has to be found.
-struct Damage {
-  const char* python;
-  const char* finding;
-};
-
-// Damages one copy of a whole file each, all in one run of Python, and looks for the findings.
-void ExpectFindings(const fs::path& whole, const std::vector<Damage>& damages) {
-  std::string script =
-      "import sys, shutil, h5py, numpy as np\n"
-      "def damaged(k):\n"
-      "    shutil.copy(sys.argv[1], sys.argv[1] + str(k))\n"
-      "    return h5py.File(sys.argv[1] + str(k), 'r+')\n";
-  for (std::size_t k = 0; k < damages.size(); ++k) {
-    script += "with damaged(" + std::to_string(k) + ") as f: " + damages[k].python + "\n";
-  }
-  const auto made = testing::RunPython(script, whole.string());
-  ASSERT_EQ(made.exit_code, 0) << made.output;
-  for (std::size_t k = 0; k < damages.size(); ++k) {
-    EXPECT_THAT(Validate(whole.string() + std::to_string(k)),
-                Contains(HasSubstr(damages[k].finding)))
-        << damages[k].python;
-  }
 }
 
 TEST(Inspect, CountsWhatASeriesHolds) {

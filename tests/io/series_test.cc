@@ -3,8 +3,6 @@
 #include <hdf5.h>
 #include <signal.h>
 #include <sys/resource.h>
-#include <sys/wait.h>
-#include <unistd.h>
 
 #include <fstream>
 #include <random>
@@ -12,8 +10,11 @@
 #include "calib/error.h"
 #include "io/series_reader.h"
 #include "io/series_writer.h"
+#include "tests/io/damaged_copies.h"
+#include "tests/io/h5py_checks.h"
 #include "tests/io/series_comparison.h"
 #include "tests/io/series_fixture.h"
+#include "tests/io/series_processes.h"
 #include "tests/support/numeric_jacobian.h"
 #include "tests/support/shared_data.h"
 
@@ -135,23 +136,8 @@ TEST(Series, AKilledRunLosesNoCommittedFrame) {
   int with_frames = 0;
   for (int round = 0; round < 8; ++round) {
     const fs::path file = folder / ("run" + std::to_string(round) + ".h5");
-    const pid_t child = fork();
-    if (child == 0) {
-      setenv("PLUMBLINE_SERIES_CHILD", file.c_str(), 1);
-      if (std::freopen("/dev/null", "w", stdout) == nullptr) _exit(1);
-      execl("/proc/self/exe", "series", "--gtest_also_run_disabled_tests",
-            "--gtest_filter=SeriesChild.DISABLED_CommitsUntilKilled", nullptr);
-      _exit(1);
-    }
-    const fs::path told = file.string() + ".told";
-    std::error_code ignored;
-    for (int k = 0; k < 4000 && (!fs::exists(told) || fs::file_size(told, ignored) < 3); ++k) {
-      usleep(2000);
-    }
-    usleep(static_cast<useconds_t>(3000 + 1777 * round));
-    kill(child, SIGKILL);
-    waitpid(child, nullptr, 0);
-    const auto reported = static_cast<std::int64_t>(fs::file_size(told));
+    const std::int64_t reported =
+        testing::KillWhileCommitting("SeriesChild.DISABLED_CommitsUntilKilled", file, round);
     const RecoveredSeries recovered = RecoverSeries(file);
     EXPECT_GE(recovered.frames, reported);
     EXPECT_LE(recovered.frames, reported + 1);
@@ -176,15 +162,7 @@ TEST(Series, RecoversUpToTheFirstDamagedByte) {
       SeriesWriter writer(file, FullHeader());
       for (int i = 0; i < 5; ++i) writer.Commit(FullFrame(i));
     }
-    const fs::path journal = file.string() + ".parts/journal";
-    const auto size = static_cast<std::int64_t>(fs::file_size(journal));
-    const std::int64_t at = size / 4 + static_cast<std::int64_t>(rng()) % (size - size / 4);
-    std::fstream bytes(journal, std::ios::in | std::ios::out | std::ios::binary);
-    bytes.seekg(at);
-    const char old = static_cast<char>(bytes.get());
-    bytes.seekp(at);
-    bytes.put(static_cast<char>(old ^ 0x55));
-    bytes.close();
+    testing::DamageOneByte(file.string() + ".parts/journal", rng);
     const RecoveredSeries recovered = RecoverSeries(file);
     EXPECT_LT(recovered.frames, 5);
     EXPECT_GT(recovered.bytes_dropped, 0);
@@ -293,18 +271,7 @@ TEST(Series, SurvivesGarbledAndTruncatedFiles) {
     for (int i = 0; i < 2; ++i) writer.Commit(FullFrame(i));
     writer.Close();
   }
-  std::ifstream in(folder / "good.h5", std::ios::binary);
-  const std::string whole{std::istreambuf_iterator<char>(in), {}};
-  std::mt19937 rng(4);
-  for (int k = 0; k < 300; ++k) {
-    std::string bytes = whole;
-    if (k % 3 == 0) {
-      bytes.resize(rng() % bytes.size());
-    } else {
-      for (int n = 0; n < 8; ++n) bytes[rng() % bytes.size()] = static_cast<char>(rng());
-    }
-    const fs::path file = folder / "bad.h5";
-    std::ofstream(file, std::ios::binary) << bytes;
+  testing::ForGarbledCopies(folder / "good.h5", [](const fs::path& file) {
     try {
       const SeriesReader reader(file);
       reader.rig();
@@ -314,7 +281,7 @@ TEST(Series, SurvivesGarbledAndTruncatedFiles) {
       }
     } catch (const InputError&) {
     }
-  }
+  });
 }
 
 // Every dataset, walked by another reader: units, long_name, an axis on every dimension, fills.
@@ -327,29 +294,11 @@ TEST(Series, H5pyReadsEveryDatasetWithUnitsAndScales) {
   SeriesWriter writer(file, header);
   for (int i = 0; i < 3; ++i) writer.Commit(FullFrame(i));
   writer.Close();
-  const auto read = testing::RunPython(R"py(
-import sys, h5py, numpy as np
-f = h5py.File(sys.argv[1], 'r')
+  testing::WalkWithH5py(file, R"py(
 assert f.attrs['format'] == 'plumbline-series' and f.attrs['format_version'] == 1
 for name in ('created', 'software', 'recipe', 'inputs'): assert name in f.attrs, name
-count = 0
-def visit(name, o):
-    global count
-    if not isinstance(o, h5py.Dataset): return
-    o[()]
-    count += 1
-    assert o.attrs['units'], name
-    assert o.attrs['long_name'], name
-    if h5py.h5ds.is_scale(o.id): return
-    for d in range(o.ndim):
-        assert len(o.dims[d]) > 0, (name, d)
-        assert o.dims[d][0].shape == (o.shape[d],), (name, d)
-f.visititems(visit)
 assert count > 130, count
-for g in ('surface', 'grid', 'frames', 'ground', 'displacement', 'strain', 'wheel', 'patch', 'slip', 'channels/Fz'):
-    assert f[g].attrs['NX_class'] == 'NXdata'
-    signal = f[g][f[g].attrs['signal']]
-    for d, axis in enumerate(np.atleast_1d(f[g].attrs['axes'])): assert f[g][axis].shape == (signal.shape[d],)
+check_nexus('surface', 'grid', 'frames', 'ground', 'displacement', 'strain', 'wheel', 'patch', 'slip', 'channels/Fz')
 p, s = f['surface/position'], f['surface/status']
 assert p.shape == (3, 5, 7, 3) and p.chunks == (1, 5, 7, 3) and p.shuffle and p.compression_opts == 1
 assert np.isnan(p.fillvalue)
@@ -392,10 +341,7 @@ assert z.attrs['units'] == 'N' and list(z) == [1, 2, 3, 4] and z.dims[0][0] == f
 assert f['ground/ground_from_rig'].shape == (3, 4, 4)
 assert f['frames/left_id'].asstr()[2] == 'left2.png'
 print('walked', count)
-)py",
-                                       file.string());
-  EXPECT_EQ(read.exit_code, 0) << read.output;
-  EXPECT_THAT(read.output, HasSubstr("walked"));
+)py");
 }
 
 TEST(GroundAngles, SigmasMatchFiniteDifferences) {
