@@ -115,13 +115,14 @@ FieldCorrelator::FieldCorrelator(const GrayImage& reference, const FieldOptions&
   options.Check();
   FieldOptions filled = options;
   if (options.first_px.x() < 0) {
-    const int radius = options.correlator.radius_px();
+    // A margin for motion of a pixel or two, so that the outermost points do not leave the image.
+    const int margin = std::min(
+        2, (std::min(reference.width(), reference.height()) - options.correlator.subset_px) / 2);
+    const int first = options.correlator.radius_px() + std::max(0, margin);
     const auto count = [&](int length) {
-      return length < options.correlator.subset_px
-                 ? 0
-                 : (length - options.correlator.subset_px) / options.step_px + 1;
+      return length <= 2 * first ? 0 : (length - 2 * first - 1) / options.step_px + 1;
     };
-    filled.first_px = Eigen::Vector2i(radius, radius);
+    filled.first_px = Eigen::Vector2i(first, first);
     filled.grid = {count(reference.width()), count(reference.height())};
   }
   impl_ = std::make_unique<Impl>(reference, filled, mask);

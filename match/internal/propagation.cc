@@ -34,6 +34,11 @@ void Propagation::Store(std::int64_t point, const SubsetMatch& match) {
   field_.zncc.data()[i] = static_cast<float>(match.zncc);
   field_.iterations.data()[i] =
       static_cast<std::uint8_t>(std::min(255, field_.iterations.data()[i] + match.iterations));
+  if (match.status == Status::kOutsideImage && match.iterations > 0) {
+    // What lies beyond is led to from here, so that it is called outside too; last of all.
+    warps_.data()[i] = match.warp.c.cast<float>();
+    found_.push({-2, point});
+  }
   if (match.status != Status::kOk) return;
   field_.displacement_px.data()[i] = match.warp.displacement_px();
   field_.gradient.data()[i] = match.warp.gradient().cast<float>();

@@ -24,9 +24,9 @@ struct RenderedSpeckleOptions {
   // Standard deviation of the normal blur that the edge of a sharp disc has in the image. A pixel's
   // area and a good lens (0.45 px) together: 0.53 px.
   double edge_sigma_px = 0.53;
-  double contrast = 1;             // factor on the departure from mean_grey
-  double mean_grey = 120;          // in grey levels of 8 bits, as are contrast and noise
-  int bits = 8;                    // more than 8: everything times 2^(bits - 8)
+  double contrast = 1;     // factor on the departure from mean_grey
+  double mean_grey = 120;  // in grey levels of 8 bits, as are contrast and noise
+  int bits = 8;            // more than 8: everything times 2^(bits - 8)
 };
 
 // A speckle of unbounded extent: the grey level (of 8 bits, unrounded) of any point of the
@@ -114,7 +114,8 @@ class SpecklePattern {
 // (grey levels of 8 bits), rounding and clipping. An image of the material at rest has the identity
 // as map; one deformed by x -> x + u(x) has its inverse, so that the truth is exact.
 //
-// noise_seed: give the images of a pair different ones. The pattern has its own in the options and
+// noise_seed: give the images of a pair different ones. A negative noise_sigma gives the same noise
+// with the opposite sign. The pattern has its own in the options and
 // is the same for all images that leave it alone.
 // About 0.3 s for 1000 x 1000 pixels.
 inline GrayImage RenderSpeckle(
@@ -129,7 +130,7 @@ inline GrayImage RenderSpeckle(
   for (int y = 0; y < size.height; ++y) {
     for (int x = 0; x < size.width; ++x) {
       double grey = pattern.GreyAt(material_from_pixel(Eigen::Vector2d(x, y)));
-      if (noise_sigma > 0) {  // Box and Muller's normal deviate: the standard's differs by library
+      if (noise_sigma != 0) {  // Box and Muller's normal deviate: the standard's differs by library
         const double u = SpecklePattern::Uniform(SpecklePattern::Hash(noise ^ index++));
         const double v = SpecklePattern::Uniform(SpecklePattern::Hash(noise ^ index++));
         grey += noise_sigma * std::sqrt(-2 * std::log(u)) * std::cos(6.283185307179586 * v);
