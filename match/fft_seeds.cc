@@ -27,6 +27,7 @@ constexpr int kCoarseSpacingPx = 16;  // smallest lattice there
 constexpr double kCoarseZncc = 0.4;
 constexpr double kCoarseContrastShare = 0.5;  // of min_contrast_grey: averaging takes contrast away
 constexpr int kReachPx = 3;                   // around a prediction
+constexpr double kNearSpacings = 2.5;         // of the lattice: how far a seed predicts
 constexpr std::size_t kMostWholeSearches = 400;
 constexpr double kFinerSearchPixels =
     1e7;  // transformed at each finer level for what is unexplained
@@ -42,7 +43,8 @@ enum class Outcome {
 struct Place {
   Eigen::Vector2i centre_px{0, 0};  // of the level
   Outcome outcome = Outcome::kUnexplained;
-  CorrelationSeed seed;  // at full resolution
+  CorrelationSeed seed;                                    // at full resolution
+  Eigen::Matrix2d cut_gradient = Eigen::Matrix2d::Zero();  // with which the seed was searched
 };
 
 // Everything that a level's search goes by.
@@ -80,6 +82,7 @@ struct LevelSearch {
     if (place->outcome == Outcome::kFound && place->seed.score >= zncc) return;
     place->outcome = Outcome::kFound;
     place->seed = seed;
+    place->cut_gradient = gradient;
   }
 };
 
@@ -161,27 +164,73 @@ void SearchWhole(const LevelSearch& search, bool coarsest, std::vector<Place>* p
   });
 }
 
-// Seeds that were found with another gradient than their neighbours turn out to have, again: a
-// subset cut the wrong way peaks off its place.
-void SearchAgain(const LevelSearch& search, const std::vector<Place>& places,
-                 std::vector<CorrelationSeed>* seeds) {
+// A subset that was cut with another gradient than its neighbours turn out to have peaks off its
+// place: once more.
+void SearchAgain(const LevelSearch& search, Place* place) {
   constexpr double kSameGradient = 0.03;
-  const double factor = search.level.factor;
-  tbb::parallel_for(std::size_t{0}, places.size(), [&](std::size_t i) {
-    const Eigen::Vector2d here_px = places[i].centre_px.cast<double>() * factor;
-    const auto seed = std::find_if(seeds->begin(), seeds->end(), [&](const CorrelationSeed& other) {
-      return other.reference_px == here_px;
+  const Eigen::Matrix2d gradient = place->seed.gradient;
+  if ((gradient - place->cut_gradient).cwiseAbs().maxCoeff() < kSameGradient) return;
+  const auto subset = search.Template(*place);
+  const auto match =
+      internal::SearchAround(*subset, search.level.deformed,
+                             place->seed.displacement_px / search.level.factor, gradient, kReachPx);
+  if (match) search.Accept(match->displacement_px, gradient, match->zncc, place);
+}
+
+// The seeds that their neighbours bear out, with gradients; the places of the others are open
+// again.
+std::vector<CorrelationSeed> KeepConsistent(const LevelSearch& search, std::vector<Place>* places) {
+  std::vector<CorrelationSeed> found;
+  for (const Place& place : *places) {
+    if (place.outcome == Outcome::kFound) found.push_back(place.seed);
+  }
+  internal::ConsistencyOptions options;
+  options.reach_px = 3.0 * search.spacing_px * search.level.factor;
+  options.tolerance_px = search.level.factor;
+  const std::vector<CorrelationSeed> kept = internal::KeepConsistent(found, options);
+  std::vector<Place*> again;
+  for (Place& place : *places) {  // kept is in their order
+    if (place.outcome != Outcome::kFound) continue;
+    if (again.size() < kept.size() && kept[again.size()].reference_px == place.seed.reference_px) {
+      place.seed.gradient = kept[again.size()].gradient;
+      again.push_back(&place);
+    } else {
+      place.outcome = Outcome::kUnexplained;
+    }
+  }
+  tbb::parallel_for(std::size_t{0}, again.size(),
+                    [&](std::size_t i) { SearchAgain(search, again[i]); });
+  std::vector<CorrelationSeed> seeds;
+  for (const Place* place : again) seeds.push_back(place->seed);
+  return seeds;
+}
+
+// From the seeds of the level to the open places around them, and on from what is found there.
+std::vector<CorrelationSeed> Grow(const LevelSearch& search, std::vector<Place>* places) {
+  constexpr int kMostRounds = 50;
+  const double reach_px = kNearSpacings * search.spacing_px * search.level.factor;
+  std::vector<CorrelationSeed> seeds = KeepConsistent(search, places);
+  std::vector<CorrelationSeed> fresh = seeds;
+  for (int round = 0; round < kMostRounds && !fresh.empty(); ++round) {
+    const internal::NearestSeeds nearest(seeds), nearest_fresh(fresh);
+    std::vector<int> is_new(places->size(), 0);
+    tbb::parallel_for(std::size_t{0}, places->size(), [&](std::size_t i) {
+      Place& place = (*places)[i];
+      if (place.outcome == Outcome::kFound || place.outcome == Outcome::kUntextured) return;
+      const Eigen::Vector2d here_px = place.centre_px.cast<double>() * search.level.factor;
+      if (nearest_fresh.Find(here_px, 1, reach_px).empty()) return;
+      SearchAroundPredictions(search, seeds, nearest, reach_px, &place);
+      is_new[i] = place.outcome == Outcome::kFound ? 1 : 0;
     });
-    if (seed == seeds->end()) return;
-    const Eigen::Matrix2d change = seed->gradient - places[i].seed.gradient;
-    if (change.cwiseAbs().maxCoeff() < kSameGradient) return;
-    const auto subset = search.Template(places[i]);
-    const auto match = internal::SearchAround(
-        *subset, search.level.deformed, seed->displacement_px / factor, seed->gradient, kReachPx);
-    if (!match || match->zncc < seed->score) return;
-    seed->displacement_px = match->displacement_px * factor;
-    seed->score = match->zncc;
-  });
+    if (std::count(is_new.begin(), is_new.end(), 1) == 0) break;
+    seeds = KeepConsistent(search, places);
+    fresh.clear();
+    for (std::size_t i = 0; i < places->size(); ++i) {
+      const Place& place = (*places)[i];
+      if (is_new[i] != 0 && place.outcome == Outcome::kFound) fresh.push_back(place.seed);
+    }
+  }
+  return seeds;
 }
 
 }  // namespace
@@ -221,19 +270,12 @@ std::vector<CorrelationSeed> FindFftSeeds(const GrayImage& reference, const Gray
     }
     const internal::NearestSeeds nearest(seeds);
     tbb::parallel_for(std::size_t{0}, places.size(), [&](std::size_t i) {
-      SearchAroundPredictions(search, seeds, nearest, 2.5 * coarser_spacing_px, &places[i]);
+      SearchAroundPredictions(search, seeds, nearest, kNearSpacings * coarser_spacing_px,
+                              &places[i]);
     });
     SearchWhole(search, level == levels.rbegin(), &places);
-    std::vector<CorrelationSeed> found;
-    for (const Place& place : places) {
-      if (place.outcome == Outcome::kFound) found.push_back(place.seed);
-    }
     coarser_spacing_px = search.spacing_px * level->factor;
-    internal::ConsistencyOptions consistency;
-    consistency.reach_px = 3 * coarser_spacing_px;
-    consistency.tolerance_px = level->factor;
-    seeds = internal::KeepConsistent(found, consistency);
-    SearchAgain(search, places, &seeds);
+    seeds = Grow(search, &places);
   }
   return seeds;
 }
