@@ -68,18 +68,37 @@ std::optional<CorrelationSeed> Verified(const CorrelationSeed& seed,
   return CorrelationSeed{rounded, match->displacement_px, seed.gradient, match->zncc};
 }
 
-// The best of each cell of the lattice.
-std::vector<CorrelationSeed> Thinned(const std::vector<std::optional<CorrelationSeed>>& seeds,
-                                     int spacing_px) {
-  std::map<std::pair<int, int>, CorrelationSeed> best;
-  for (const auto& seed : seeds) {
-    if (!seed) continue;
-    const Eigen::Vector2i cell = (seed->reference_px / spacing_px).array().floor().cast<int>();
-    const auto [at, fresh] = best.try_emplace({cell.y(), cell.x()}, *seed);
-    if (!fresh && seed->score > at->second.score) at->second = *seed;
+// The first of each cell of the lattice, from its middle, that the grey values confirm.
+std::vector<CorrelationSeed> OneOfEachCell(const std::vector<CorrelationSeed>& seeds,
+                                           const internal::SeedLevel& images,
+                                           const FeatureSeedOptions& options) {
+  std::map<std::pair<int, int>, std::vector<CorrelationSeed>> cells;
+  for (const CorrelationSeed& seed : seeds) {
+    const Eigen::Vector2i cell =
+        (seed.reference_px / options.spacing_px).array().floor().cast<int>();
+    cells[{cell.y(), cell.x()}].push_back(seed);
   }
+  std::vector<std::vector<CorrelationSeed>> candidates;
+  for (auto& [cell, members] : cells) {
+    const Eigen::Vector2d middle_px =
+        (Eigen::Vector2d(cell.second, cell.first).array() + 0.5) * options.spacing_px;
+    const auto distance = [&](const CorrelationSeed& seed) {
+      return (seed.reference_px - middle_px).squaredNorm();
+    };
+    std::stable_sort(members.begin(), members.end(),
+                     [&](const auto& a, const auto& b) { return distance(a) < distance(b); });
+    candidates.push_back(std::move(members));
+  }
+  std::vector<std::optional<CorrelationSeed>> confirmed(candidates.size());
+  tbb::parallel_for(std::size_t{0}, candidates.size(), [&](std::size_t i) {
+    for (const CorrelationSeed& seed : candidates[i]) {
+      if ((confirmed[i] = Verified(seed, images, options))) return;
+    }
+  });
   std::vector<CorrelationSeed> out;
-  for (const auto& [cell, seed] : best) out.push_back(seed);
+  for (const auto& seed : confirmed) {
+    if (seed) out.push_back(*seed);
+  }
   return out;
 }
 
@@ -117,14 +136,9 @@ std::vector<CorrelationSeed> FindFeatureSeeds(const GrayImage& reference, const 
   consistency.random_seed = options.random_seed;
   consistency.tolerance_px = kTolerancePx + kCoarseTolerancePx * (from.factor - 1);
   consistency.reach_px = std::max(reference.width(), reference.height()) / 4.0;
-  std::vector<CorrelationSeed> consistent = internal::KeepConsistent(matches, consistency);
   const auto images = internal::BuildSeedLevels(reference, deformed, mask,
                                                 std::max(reference.width(), reference.height()), 1);
-  std::vector<std::optional<CorrelationSeed>> verified(consistent.size());
-  tbb::parallel_for(std::size_t{0}, consistent.size(), [&](std::size_t i) {
-    verified[i] = Verified(consistent[i], images[0], options);
-  });
-  return Thinned(verified, options.spacing_px);
+  return OneOfEachCell(internal::KeepConsistent(matches, consistency), images[0], options);
 }
 
 }  // namespace plumbline

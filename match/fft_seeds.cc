@@ -29,8 +29,9 @@ constexpr double kCoarseContrastShare = 0.5;  // of min_contrast_grey: averaging
 constexpr int kReachPx = 3;                   // around a prediction
 constexpr double kNearSpacings = 2.5;         // of the lattice: how far a seed predicts
 constexpr std::size_t kMostWholeSearches = 400;
-constexpr double kFinerSearchPixels =
-    1e7;  // transformed at each finer level for what is unexplained
+// Pixels transformed at each finer level for what is unexplained.
+constexpr double kFinerSearchPixels = 1e7;
+constexpr std::size_t kFewestWholeSearches = 8;  // fewer are not worth the transform of the image
 
 enum class Outcome {
   kUntextured,
@@ -149,7 +150,8 @@ void SearchWhole(const LevelSearch& search, bool coarsest, std::vector<Place>* p
   std::size_t most = kMostWholeSearches;
   if (!coarsest) {
     const auto pixels = static_cast<double>(search.level.deformed.pixel_count());
-    most = std::min(most, static_cast<std::size_t>(std::ceil(kFinerSearchPixels / pixels)));
+    most = std::min(most, static_cast<std::size_t>(kFinerSearchPixels / pixels));
+    if (most < kFewestWholeSearches) return;
   }
   const std::size_t count = std::min(most, open.size());
   const internal::FftCorrelator correlator(search.level.deformed, search.radius_px);

@@ -19,6 +19,8 @@ namespace plumbline {
 namespace {
 
 constexpr double kTolerancePx = 1.5;
+// Below this a subset may have been cut with a gradient that is off by 0.2.
+constexpr double kSureScore = 0.75;
 
 void SortBestFirst(std::vector<CorrelationSeed>* seeds) {
   const auto key = [](const CorrelationSeed& seed) {
@@ -51,7 +53,8 @@ double UnexplainedShare(const internal::SeedLevel& images,
     const Eigen::Vector2d here_px = places[i].cast<double>();
     for (const std::size_t k : nearest.Find(here_px, 1, std::numeric_limits<double>::max())) {
       const Eigen::Vector2d there_px = PredictedPlace(seeds[k], here_px);
-      const bool near = (seeds[k].reference_px - here_px).norm() <= 1.5 * options.spacing_px;
+      const bool near = (seeds[k].reference_px - here_px).norm() <= 1.1 * options.spacing_px &&
+                        seeds[k].score >= kSureScore;
       // Subsets that are cut by the border, or would be by a little more, have no seed.
       const int margin_px = radius_px + 3;
       const bool leaves = there_px.x() < margin_px || there_px.y() < margin_px ||

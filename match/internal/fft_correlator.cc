@@ -87,8 +87,11 @@ struct Workspace {
         sum(transforms.real_count()),
         square(transforms.real_count()),
         spectrum(transforms.complex_count()),
-        scratch(transforms.complex_count()) {}
-  Buffer<float> subset, product, sum, square;
+        scratch(transforms.complex_count()) {
+    std::fill_n(subset.get(), transforms.real_count(), 0.0F);
+  }
+  Buffer<float> subset;  // 0 but for the first rows and columns, which every template fills
+  Buffer<float> product, sum, square;
   Buffer<Complex> spectrum, scratch;
 };
 
@@ -98,7 +101,7 @@ struct FftCorrelator::State {
   State(const Image<float>& deformed, int radius);
 
   void Correlate(const std::vector<float>& subset, bool with_squares, Workspace* work) const;
-  Image<float> Zncc(const SubsetTemplate& subset, Workspace* work) const;
+  void Zncc(const SubsetTemplate& subset, Workspace* work) const;
 
   ImageSize size;
   int side;
@@ -153,7 +156,6 @@ FftCorrelator::State::State(const Image<float>& deformed, int radius)
 // with its square.
 void FftCorrelator::State::Correlate(const std::vector<float>& subset, bool with_squares,
                                      Workspace* work) const {
-  std::fill_n(work->subset.get(), transforms.real_count(), 0.0F);
   for (int i = 0; i < side; ++i) {
     std::copy_n(&subset[static_cast<std::size_t>(i * side)], side,
                 work->subset.get() + static_cast<std::ptrdiff_t>(i) * transforms.columns());
@@ -173,15 +175,15 @@ void FftCorrelator::State::Correlate(const std::vector<float>& subset, bool with
   if (with_squares) with(square, work->square);
 }
 
-Image<float> FftCorrelator::State::Zncc(const SubsetTemplate& subset, Workspace* work) const {
+// The ZNCC of every place, into work->product; -2 where the window has no contrast.
+void FftCorrelator::State::Zncc(const SubsetTemplate& subset, Workspace* work) const {
   Correlate(subset.value, false, work);
   if (!subset.weight.empty()) Correlate(subset.weight, true, work);
-  Image<float> zncc(norm.size());
   const auto least = static_cast<float>(kLeastContrastShare * subset.norm);
   const auto template_norm = static_cast<float>(subset.norm);
-  for (int y = 0; y < zncc.height(); ++y) {
+  for (int y = 0; y < norm.height(); ++y) {
     const auto at = static_cast<std::size_t>(y) * static_cast<std::size_t>(transforms.columns());
-    for (int x = 0; x < zncc.width(); ++x) {
+    for (int x = 0; x < norm.width(); ++x) {
       const auto i = at + static_cast<std::size_t>(x);
       float window = norm(y, x);
       if (!subset.weight.empty()) {
@@ -189,10 +191,9 @@ Image<float> FftCorrelator::State::Zncc(const SubsetTemplate& subset, Workspace*
         window =
             std::sqrt(std::max(0.0F, work->square[i] - s * s / static_cast<float>(subset.count)));
       }
-      zncc(y, x) = window < least ? -2.0F : work->product[i] / (window * template_norm);
+      work->product[i] = window < least ? -2.0F : work->product[i] / (window * template_norm);
     }
   }
-  return zncc;
 }
 
 FftCorrelator::FftCorrelator(const Image<float>& deformed, int radius_px)
@@ -200,12 +201,19 @@ FftCorrelator::FftCorrelator(const Image<float>& deformed, int radius_px)
 FftCorrelator::~FftCorrelator() = default;
 
 std::optional<FftPeak> FftCorrelator::Find(const SubsetTemplate& subset, int search_px) const {
-  const Image<float> zncc = state_->Zncc(subset, &state_->workspaces.local());
+  Workspace& work = state_->workspaces.local();
+  state_->Zncc(subset, &work);
+  const ImageSize places = state_->norm.size();
+  const auto zncc = [&](int y, int x) {
+    return work.product[static_cast<std::size_t>(y) *
+                            static_cast<std::size_t>(state_->transforms.columns()) +
+                        static_cast<std::size_t>(x)];
+  };
   const Eigen::Vector2i still = subset.centre_px.array() - subset.radius_px;
-  const int reach = search_px > 0 ? search_px : std::max(zncc.width(), zncc.height());
-  const int x0 = std::max(0, still.x() - reach), x1 = std::min(zncc.width() - 1, still.x() + reach);
+  const int reach = search_px > 0 ? search_px : std::max(places.width, places.height);
+  const int x0 = std::max(0, still.x() - reach), x1 = std::min(places.width - 1, still.x() + reach);
   const int y0 = std::max(0, still.y() - reach),
-            y1 = std::min(zncc.height() - 1, still.y() + reach);
+            y1 = std::min(places.height - 1, still.y() + reach);
   const auto best_beyond = [&](const Eigen::Vector2i& place, int exclusion) {
     Eigen::Vector2i best(-1, -1);
     for (int y = y0; y <= y1; ++y) {

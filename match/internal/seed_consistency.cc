@@ -53,9 +53,10 @@ Support CountSupport(const std::vector<Neighbour>& neighbours, const Eigen::Matr
 
 bool IsPlausible(const Eigen::Matrix2d& gradient) {
   const Eigen::Matrix2d map = Eigen::Matrix2d::Identity() + gradient;
-  if (!(map.determinant() > 0)) return false;
-  const Eigen::Vector2d stretch = map.jacobiSvd().singularValues();
-  return stretch(0) < 2.5 && stretch(1) > 0.4;
+  // The singular values are the sum and, where the map does not mirror, the difference of these.
+  const double turning = std::hypot(map(0, 0) + map(1, 1), map(1, 0) - map(0, 1)) / 2;
+  const double shearing = std::hypot(map(0, 0) - map(1, 1), map(1, 0) + map(0, 1)) / 2;
+  return turning + shearing < 2.5 && turning - shearing > 0.4;
 }
 
 // The gradient of the map that takes two neighbours where they went.
@@ -73,43 +74,58 @@ std::optional<Eigen::Matrix2d> GradientThrough(const Neighbour& a, const Neighbo
   return gradient;
 }
 
-// Least squares over the seed and those that agree, offset free; `before` where they lie on a line.
-Eigen::Matrix2d FitGradient(const std::vector<Neighbour>& neighbours, const Support& best,
-                            const Eigen::Matrix2d& before, double tolerance_px, double slope) {
+// The map that the agreeing neighbours give by least squares without the seed, if it takes the seed
+// where it went. A line of neighbours gives none: some affine map takes a line and any further
+// point anywhere.
+std::optional<Eigen::Matrix2d> GradientAround(const std::vector<Neighbour>& neighbours,
+                                              const Eigen::Matrix2d& agreed, double tolerance_px,
+                                              double slope) {
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
   Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
-  normal(0, 0) = 1;  // the seed itself
+  double distance_px = 0;
   for (const Neighbour& n : neighbours) {
     double misfit_px = 0;
-    if (!Agrees(n, best.gradient, tolerance_px, slope, &misfit_px)) continue;
+    if (!Agrees(n, agreed, tolerance_px, slope, &misfit_px)) continue;
     const Eigen::Vector3d row(1, n.offset_px.x(), n.offset_px.y());
     normal += row * row.transpose();
     right += row * n.displacement_px.transpose();
+    distance_px += n.offset_px.norm();
   }
+  if (normal(0, 0) < 3) return std::nullopt;
   const Eigen::Matrix2d scatter =
       normal.bottomRightCorner<2, 2>() -
       normal.bottomLeftCorner<2, 1>() * normal.topRightCorner<1, 2>() / normal(0, 0);
   const Eigen::Vector2d spread =
       Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(scatter).eigenvalues();
-  if (!(spread(0) > 0.02 * spread(1))) return before;
+  constexpr double kLeastSpread = 0.02;
+  if (!(spread(0) > kLeastSpread * spread(1))) return std::nullopt;
   const Eigen::Matrix<double, 3, 2> fit = normal.ldlt().solve(right);
   const Eigen::Matrix2d gradient = fit.bottomRows<2>().transpose();
-  return IsPlausible(gradient) ? gradient : before;
+  const double off_px = fit.row(0).norm();
+  if (off_px > tolerance_px + kFittedSlope * distance_px / normal(0, 0)) return std::nullopt;
+  if (!IsPlausible(gradient)) return std::nullopt;
+  return gradient;
 }
 
+// Support of the seed with its gradient, and the fitted one where there are neighbours enough.
 Support BestSupport(const std::vector<Neighbour>& neighbours, const Eigen::Matrix2d& own,
-                    const ConsistencyOptions& options, std::uint64_t random_seed, bool* fitted) {
-  Support best = CountSupport(neighbours, own, options.tolerance_px, kLooseSlope);
-  *fitted = false;
+                    const ConsistencyOptions& options, std::uint64_t random_seed) {
+  const double tolerance_px = options.tolerance_px;
+  Support best = CountSupport(neighbours, own, tolerance_px, kLooseSlope);
+  best.gradient = GradientAround(neighbours, own, tolerance_px, kLooseSlope).value_or(own);
+  bool fitted = false;
   const std::size_t n = neighbours.size();
   const auto try_pair = [&](std::size_t j, std::size_t k) {
-    const auto gradient = GradientThrough(neighbours[j], neighbours[k]);
-    if (!gradient) return;
-    const Support support = CountSupport(neighbours, *gradient, options.tolerance_px, kFittedSlope);
+    const auto through = GradientThrough(neighbours[j], neighbours[k]);
+    if (!through) return;
+    Support support = CountSupport(neighbours, *through, tolerance_px, kFittedSlope);
     // The pair itself agrees anyhow: it takes a third one to bear it out.
-    if (support.count < 3 || (*fitted ? !(best < support) : support.count < best.count)) return;
+    if (support.count < 3 || (fitted ? !(best < support) : support.count < best.count)) return;
+    const auto around = GradientAround(neighbours, *through, tolerance_px, kFittedSlope);
+    if (!around) return;
+    support.gradient = *around;
     best = support;
-    *fitted = true;
+    fitted = true;
   };
   if (options.draws == 0) {
     for (std::size_t j = 0; j < n; ++j) {
@@ -182,16 +198,14 @@ std::vector<CorrelationSeed> KeepConsistent(const std::vector<CorrelationSeed>& 
                             seeds[j].displacement_px - seed.displacement_px});
     }
     kept[i] = seed;
-    if (neighbours.size() < static_cast<std::size_t>(options.least_support)) return;
-    bool fitted = false;
+    if (neighbours.size() <= static_cast<std::size_t>(options.least_support)) return;
     const Support best =
-        BestSupport(neighbours, seed.gradient, options, MixBits(options.random_seed ^ i), &fitted);
-    if (best.count < options.least_support) {
+        BestSupport(neighbours, seed.gradient, options, MixBits(options.random_seed ^ i));
+    if (best.count >= options.least_support) {
+      kept[i]->gradient = best.gradient;
+    } else {
       kept[i].reset();
-      return;
     }
-    kept[i]->gradient = FitGradient(neighbours, best, seed.gradient, options.tolerance_px,
-                                    fitted ? kFittedSlope : kLooseSlope);
   });
   std::vector<CorrelationSeed> out;
   for (const auto& seed : kept) {

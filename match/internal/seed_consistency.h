@@ -28,18 +28,18 @@ struct ConsistencyOptions {
   int neighbours = 8;
   double reach_px = 0;      // further neighbours have no say
   double tolerance_px = 1;  // of a displacement against what the neighbours' affine map says
-  int least_support = 2;    // neighbours that must agree; seeds with fewer neighbours pass
+  int least_support = 2;    // neighbours that must agree; seeds with no more neighbours pass
   // 0: every pair of neighbours makes a map with the seed. Else so many pairs, drawn at random.
   int draws = 0;
   std::uint64_t random_seed = 1;
 };
 
 // Local affine RANSAC (Fischler and Bolles 1981): keeps the seeds whose motion agrees with that of
-// neighbours under one affine map, and gives them the gradient of the map fitted to all that agree.
-// The maps are through the seed and pairs of its neighbours, or have the gradient that the seed has
-// already; maps that mirror, or stretch by more than 2.5, do not count. Neighbours of another
-// motion are outvoted nowhere: a seed needs its own few, not the most. Order and displacements are
-// kept.
+// neighbours under one affine map, and gives them the gradient of the map that those who agree
+// give without the seed. The maps tried are through the seed and pairs of its neighbours, or have
+// the gradient that the seed has already; maps that mirror, or stretch by more than 2.5, do not
+// count. A seed needs its own few, not the majority: parts that move differently keep their
+// own motion. Order and displacements are kept.
 std::vector<CorrelationSeed> KeepConsistent(const std::vector<CorrelationSeed>& seeds,
                                             const ConsistencyOptions& options);
 
