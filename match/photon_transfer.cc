@@ -123,6 +123,7 @@ struct PhotonTransferFit::Impl {
   std::int64_t counted = 0, identical = 0;
   std::int64_t tiles = 0, changed_tiles = 0;
   double smallest_motion_px = 0;  // of the pairs that moved
+  double greatest_likeness = -1;  // of them
   double sum_right = 0, sum_below = 0, sum_squares = 0;
 
   void AddPair(const GrayImage& a, const GrayImage& b);
@@ -143,6 +144,7 @@ void PhotonTransferFit::Impl::AddPair(const GrayImage& a, const GrayImage& b) {
   if (difference.motion_px > options.max_motion_px) {
     smallest_motion_px = sums.moved_pairs == 0 ? difference.motion_px
                                                : std::min(smallest_motion_px, difference.motion_px);
+    greatest_likeness = std::max(greatest_likeness, difference.likeness);
     ++sums.moved_pairs;
     return;
   }
@@ -211,6 +213,12 @@ void PhotonTransferFit::Impl::Refuse() const {
         "The frames are the same, pixel by pixel: copies of one, or of a source without any noise; "
         "take each one anew, and store them uncompressed.");
   }
+  if (sums.pairs == 0 && greatest_likeness < 0.5) {
+    throw InputError(fmt::format(
+        "Consecutive frames are unlike each other (correlation at most {:.2f}): give frames of one "
+        "camera only, of a scene at rest.",
+        greatest_likeness));
+  }
   if (sums.pairs == 0) {
     throw InputError(fmt::format(
         "The picture moved by at least {:.2f} px between all of the frames, and {} px is the most "
@@ -245,12 +253,11 @@ void PhotonTransferFit::Impl::AddNotes(PhotonTransfer& out) const {
                     "by {:.2f} px or more",
                     out.moved_pairs, out.moved_pairs + out.pairs, smallest_motion_px));
   }
-  if (out.chi2_per_dof > 3 && !out.constant) {
+  if (out.misfit > 0.1 && out.chi2_per_dof > 3) {
     out.notes.push_back(
-        fmt::format("the variances do not lie on a line (chi2 per degree of freedom {:.1f}): the "
-                    "camera changes its grey levels (gamma, sharpening, compression) or the light "
-                    "flickered unevenly",
-                    out.chi2_per_dof));
+        fmt::format("the variances depart from {} by {:.0f} % (rms): the camera changes its grey "
+                    "levels (gamma, sharpening, compression) or the light flickered unevenly",
+                    out.constant ? "one value" : "a line", 100 * out.misfit));
   }
   if (out.neighbour_correlation > 0.15) {
     out.notes.push_back(fmt::format(
@@ -350,6 +357,14 @@ PhotonTransfer PhotonTransferFit::Fit() const {
     out.constant = true;
     refine();
   }
+  double sum = 0, pixels = 0;
+  for (const PhotonTransferPoint& p : out.curve) {
+    const double expected = out.model.Variance(p.grey);
+    const double relative = (p.variance_grey2 - expected) / (expected + kRoundingVarianceGrey2);
+    sum += static_cast<double>(p.pixels) * relative * relative;
+    pixels += static_cast<double>(p.pixels);
+  }
+  out.misfit = std::sqrt(sum / pixels);
   m.AddNotes(out);
   return out;
 }

@@ -34,6 +34,7 @@ struct PhotonTransfer {
   Eigen::Matrix2d cov = Eigen::Matrix2d::Zero();  // of (offset_grey2, slope_grey)
   bool constant = false;                          // the slope could not be told: it is 0
   double chi2_per_dof = 0;                        // of the line through the curve; 1 is perfect
+  double misfit = 0;  // rms of the curve's departure from the line, relative
   std::vector<PhotonTransferPoint> curve;
 
   int bits = 8;

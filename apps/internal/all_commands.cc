@@ -7,6 +7,8 @@ std::vector<std::unique_ptr<Command>> AllCommands() {
   commands.push_back(MakeCalibrateCommand());
   commands.push_back(MakeMeasureCommand());
   commands.push_back(MakeDisparityCommand());
+  commands.push_back(MakeNoiseCommand());
+  commands.push_back(MakeSpeckleCommand());
   commands.push_back(MakeSimulateCommand());
   commands.push_back(MakeCompareCommand());
   commands.push_back(MakeInfoCommand());

@@ -47,6 +47,8 @@ class Command {
 std::unique_ptr<Command> MakeCalibrateCommand();
 std::unique_ptr<Command> MakeMeasureCommand();
 std::unique_ptr<Command> MakeDisparityCommand();
+std::unique_ptr<Command> MakeNoiseCommand();
+std::unique_ptr<Command> MakeSpeckleCommand();
 std::unique_ptr<Command> MakeSimulateCommand();
 std::unique_ptr<Command> MakeCompareCommand();
 std::unique_ptr<Command> MakeInfoCommand();

@@ -275,7 +275,7 @@ double LargeMotionPx(const Image<std::uint16_t>& a, const Image<std::uint16_t>& 
 
 FrameDifference Differencer::Summary() const {
   FrameDifference out;
-  double sum_a = 0, sum_b = 0;
+  double sum_a = 0, sum_b = 0, sum_aa = 0, sum_bb = 0, sum_ab = 0;
   for (int y = 0; y < a_.height(); ++y) {
     for (int x = 0; x < a_.width(); ++x) {
       if (!mask_.empty() && mask_(y, x) == 0) continue;
@@ -284,11 +284,19 @@ FrameDifference Differencer::Summary() const {
       if (!Counts(y, x)) continue;
       sum_a += a_(y, x);
       sum_b += b_(y, x);
+      sum_aa += static_cast<double>(a_(y, x)) * a_(y, x);
+      sum_bb += static_cast<double>(b_(y, x)) * b_(y, x);
+      sum_ab += static_cast<double>(a_(y, x)) * b_(y, x);
       out.identical += a_(y, x) == b_(y, x);
       ++out.counted;
     }
   }
-  if (sum_a > 0) out.brightness_ratio = sum_b / sum_a;
+  if (sum_a > 0) {
+    const auto n = static_cast<double>(out.counted);
+    out.brightness_ratio = sum_b / sum_a;
+    const double var_a = sum_aa - sum_a * sum_a / n, var_b = sum_bb - sum_b * sum_b / n;
+    out.likeness = (sum_ab - sum_a * sum_b / n) / std::sqrt(std::max(var_a * var_b, 1e-300));
+  }
   std::vector<double> motions;
   for (const Tile& tile : tiles_) {
     if (tile.fitted == 0) continue;
@@ -308,7 +316,10 @@ FrameDifference Differencer::Summary() const {
   }
   // Where the gradients do not tell, as beyond a speckle's size, the spectrum does.
   const double large_px = LargeMotionPx(a_, b_);
-  if (large_px > 0) out.motion_px = large_px;
+  if (large_px > 0) {
+    out.motion_px = large_px;
+    out.likeness = 1;
+  }
   out.residual = residual_;
   return out;
 }

@@ -27,6 +27,7 @@ struct FrameDifference {
   int tiles = 0, changed_tiles = 0;                // looked at, and left out because of scatter
   double motion_px = 0;                            // what nine tenths of the tiles stay below
   double brightness_ratio = 1;                     // of b to a
+  double likeness = 1;  // correlation of a and b; 1 where they agree when moved
 };
 
 // `mask` may be empty. Parallel over tiles, the same for any number of threads.

@@ -215,6 +215,8 @@ TEST(PhotonTransfer, RefusesWhatTellsNothing) {
   small.size = {5, 5};
   EXPECT_THAT(Refusal(small.Photographs(3)), HasSubstr("larger images"));
   EXPECT_THAT(Refusal({two[0], small.Photograph(Speckle)}), HasSubstr("5x5 px"));
+  const auto other = [](double x, double y) { return Speckle(0.8 * y + 31, 17 - 0.9 * x); };
+  EXPECT_THAT(Refusal({two[0], camera.Photograph(other)}), HasSubstr("frames of one camera"));
 }
 
 TEST(PhotonTransfer, RefusesFramesThatMovedSayingHowMuch) {
