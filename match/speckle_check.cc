@@ -23,6 +23,8 @@ constexpr double kGradientNoise = 65.0 / 72.0;
 constexpr int kReach = 2;                 // of that difference
 constexpr double kFewestOfSubset = 0.25;  // of its pixels must be there
 constexpr double kAboveNoise = 5;         // sigmas of the gradient energy that noise alone has
+constexpr double kNoiseUnsure = 0.05;     // of that energy, where the noise is told,
+constexpr double kEstimateUnsure = 0.25;  // and where it is estimated from the image
 
 // Value at a share of the sorted values; they must not be empty.
 double Quantile(std::vector<double> values, double share) {
@@ -42,12 +44,13 @@ struct SubsetSums {
 
 // Covariance of the displacement; nothing where the gradients are not above the noise in every
 // direction.
-std::optional<Eigen::Matrix2d> Covariance(const SubsetSums& sums) {
+std::optional<Eigen::Matrix2d> Covariance(const SubsetSums& sums, double noise_unsure) {
   const Eigen::Matrix2d H =
       sums.energy - kGradientNoise * sums.variance * Eigen::Matrix2d::Identity();
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d> eigen(H, Eigen::EigenvaluesOnly);
-  const double scatter = kGradientNoise * std::sqrt(2 * sums.variance2);
-  if (!(eigen.eigenvalues()[0] > kAboveNoise * scatter)) return std::nullopt;
+  const double chance = kAboveNoise * kGradientNoise * std::sqrt(2 * sums.variance2);
+  const double unsure = noise_unsure * kGradientNoise * sums.variance;
+  if (!(eigen.eigenvalues()[0] > chance + unsure)) return std::nullopt;
   // Noise of the gradients meets that of the other image only: with its own it sums to nothing, as
   // the difference about a pixel does not hold the pixel.
   const Eigen::Matrix2d scattered =
@@ -238,7 +241,8 @@ void Checker::CheckPoi(SpecklePoi& poi) const {
     }
     const bool last = poi.smallest_subset_px > 0 && r > half;
     if (last) break;
-    const std::optional<Eigen::Matrix2d> cov = Covariance(sums);
+    const std::optional<Eigen::Matrix2d> cov =
+        Covariance(sums, out_.noise_estimated ? kEstimateUnsure : kNoiseUnsure);
     const double sigma = cov ? WorstSigma(*cov) : kNan;
     if (poi.smallest_subset_px == 0 && sigma <= options_.wanted_sigma_px) {
       poi.smallest_subset_px = 2 * r + 1;

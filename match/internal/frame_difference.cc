@@ -9,7 +9,6 @@
 #include <limits>
 #include <opencv2/imgproc.hpp>
 
-#include "calib/internal/opencv_image.h"
 #include "calib/median.h"
 #include "match/noise_model.h"
 

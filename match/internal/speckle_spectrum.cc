@@ -5,8 +5,6 @@
 #include <limits>
 #include <opencv2/core.hpp>
 
-#include "calib/median.h"
-
 namespace plumbline::internal {
 namespace {
 
@@ -126,17 +124,19 @@ TileSpectrum::TileSpectrum(const GrayImage& image, const Image<std::uint8_t>& ma
 
 double TileSpectrum::FloorGrey2() const {
   if (empty()) return kNan;
-  std::vector<double> corner;
+  double sum = 0;
+  int count = 0;
   const auto frequency = [&](int i) {
     return static_cast<double>(std::min(i, tile_px_ - i)) / tile_px_;
   };
   for (int y = 0; y < tile_px_; ++y) {
     for (int x = 0; x < tile_px_; ++x) {
       if (frequency(x) < 0.4 || frequency(y) < 0.4) continue;
-      corner.push_back(power_[static_cast<std::size_t>(y * tile_px_ + x)]);
+      sum += power_[static_cast<std::size_t>(y * tile_px_ + x)];
+      ++count;
     }
   }
-  return Median(std::move(corner));
+  return count > 0 ? sum / count : kNan;
 }
 
 double TileSpectrum::FeatureSizePx(double noise_grey2) const {
