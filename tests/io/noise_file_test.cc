@@ -86,7 +86,7 @@ TEST(NoiseFile, SaysWhatIsWrong) {
   EXPECT_THAT(changed("bits = 12", "bits = 7"), HasSubstr("[camera] needs bits"));
   EXPECT_THAT(changed("slope_grey = 0", "slope_grey = -1"), HasSubstr("needs slope_grey"));
   EXPECT_THAT(changed("slope_grey = 0", "slope_grey = nan # "), HasSubstr("needs slope_grey"));
-  EXPECT_THAT(changed("offset_grey2", "offset"), HasSubstr("needs offset_grey2"));
+  EXPECT_THAT(changed("\noffset_grey2", "\noffset"), HasSubstr("needs offset_grey2"));
   EXPECT_THAT(changed("plumbline-noise", "other"), HasSubstr("is no noise file"));
   EXPECT_THAT(changed("[camera]", "[camera"), HasSubstr("line"));
   std::ofstream(path) << "format = \"plumbline-noise\"\n";
