@@ -28,30 +28,31 @@ struct StarPair {
 };
 
 StarPair TakeStar() {
-  Scenario scenario = MakeScenario("star");
-  scenario.frames = 2;
-  scenario.frames_per_second = 1;  // the second frame shows all of it
+  const Scenario scenario = MakeScenario("star");  // two frames: without, and with all of it
   const VirtualRig rig(scenario);
   StarPair pair{rig.TakeImage(0, Side::kLeft), rig.TakeImage(1, Side::kLeft), {}};
   const auto before = rig.Truth(0);
   const auto after = rig.Truth(1);
   const auto& specimen = std::get<SpecimenOptions>(scenario.surface);
-  const double px_per_mm = [&] {
-    const Eigen::Vector2d middle(pair.reference.width() / 2.0, pair.reference.height() / 2.0);
-    const auto a = before->UnderLeftPixel(middle);
-    const auto b = before->UnderLeftPixel(middle + Eigen::Vector2d(10, 0));
-    return 10 / (a->material_mm - b->material_mm).norm();
-  }();
   constexpr int kMargin = 30;
-  for (int x = kMargin; x < pair.reference.width() - kMargin; x += 6) {
+  for (int x = kMargin; x < pair.reference.width() - kMargin; x += 2) {
     Column column;
-    const auto at = before->UnderLeftPixel(Eigen::Vector2d(x, pair.reference.height() / 2.0));
-    if (!at) continue;
+    const Eigen::Vector2d middle(x, pair.reference.height() / 2.0);
+    const auto at = before->UnderLeftPixel(middle);
+    const auto below = before->UnderLeftPixel(middle + Eigen::Vector2d(0, 10));
+    if (!at || !below) continue;
+    // The waves run down the image; the camera sees the specimen at an angle.
+    const double px_per_mm = 10 / std::abs(below->material_mm.y() - at->material_mm.y());
     const double along = (at->material_mm.x() + specimen.size_mm.x() / 2) / specimen.size_mm.x();
     column.period_px =
         px_per_mm * (specimen.star_period_min_mm +
                      along * (specimen.star_period_max_mm - specimen.star_period_min_mm));
-    for (int y = kMargin; y < pair.reference.height() - kMargin; y += 6) {
+    // Only along the crest through the middle do the waves stand square to the columns: away from
+    // it they fan out, and are shorter.
+    const double crest =
+        middle.y() - at->material_mm.y() * 10 / (below->material_mm.y() - at->material_mm.y());
+    const int reach = static_cast<int>(0.06 * column.period_px);
+    for (int y = static_cast<int>(std::lround(crest)) - reach; y <= crest + reach + 0.5; y += 3) {
       const Eigen::Vector2d pixel(x, y);
       const auto point = before->UnderLeftPixel(pixel);
       if (!point) continue;
@@ -83,26 +84,22 @@ Resolution Measure(const StarPair& pair, int subset, int order) {
   std::vector<double> across;
   for (const Column& column : pair.columns) {
     double with = 0, energy = 0;
-    Eigen::Vector2d mean(0, 0);
-    for (const Eigen::Vector2d& truth : column.truth_px) {
-      mean += truth / static_cast<double>(column.truth_px.size());
-    }
     for (std::size_t i = 0; i < column.pixel.size(); ++i) {
-      const SubsetMatch match = correlator.Match(deformed, column.pixel[i], SubsetWarp::Of(mean));
+      const SubsetMatch match = correlator.Match(deformed, column.pixel[i], SubsetWarp());
       if (match.status != Status::kOk) continue;
-      const double truth = column.truth_px[i].y() - mean.y();
-      with += (match.warp.displacement_px().y() - mean.y()) * truth;
+      const double truth = column.truth_px[i].y();
+      with += match.warp.displacement_px().y() * truth;
       energy += truth * truth;
       across.push_back(std::abs(match.warp.displacement_px().x() - column.truth_px[i].x()));
     }
     periods.push_back(column.period_px);
     gains.push_back(with / energy);
   }
-  // The median over a fifteenth of the columns takes the noise off a curve that only rises.
+  // The median over 31 columns takes the noise off a curve that only rises.
   std::vector<double> smooth;
-  for (std::size_t i = 7; i + 7 < gains.size(); ++i) {
+  for (std::size_t i = 15; i + 15 < gains.size(); ++i) {
     const auto at = gains.begin() + static_cast<std::ptrdiff_t>(i);
-    smooth.push_back(Median(std::vector<double>(at - 7, at + 8)));
+    smooth.push_back(Median(std::vector<double>(at - 15, at + 16)));
     const double ratio = subset / periods[i];
     if (order == 1 && ratio < 0.5) {
       const double sinc = std::sin(M_PI * ratio) / (M_PI * ratio);
@@ -112,7 +109,7 @@ Resolution Measure(const StarPair& pair, int subset, int order) {
   }
   for (std::size_t i = smooth.size(); i-- > 0;) {
     if (smooth[i] < 0.9) break;
-    resolution.period_px = periods[i + 7];
+    resolution.period_px = periods[i + 15];
   }
   resolution.noise_px = Median(across) / 0.6745;
   return resolution;
@@ -122,7 +119,7 @@ TEST(StarResolution, FollowsTheSubsetsWindow) {
   const StarPair star = TakeStar();
   const Resolution first = Measure(star, 21, 1);
   const Resolution second = Measure(star, 21, 2);
-  EXPECT_LT(first.worst_off_sinc, 0.03);
+  EXPECT_LT(first.worst_off_sinc, 0.05);
   EXPECT_NEAR(first.period_px, 84, 6);
   EXPECT_LT(second.period_px, 33);
   EXPECT_GT(second.noise_px, first.noise_px);
