@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <opencv2/imgproc.hpp>
+#include <optional>
 
 #include "calib/error.h"
 
@@ -26,6 +27,34 @@ Image<std::uint8_t> Halved(const Image<std::uint8_t>& mask) {
     for (int x = 0; x < half.width(); ++x) half(y, x) = mask(2 * y, 2 * x);
   }
   return half;
+}
+
+// Of the pixels of a rectangle that may be used, the one nearest their centroid.
+std::optional<Eigen::Vector2i> MiddleOfMask(const Image<std::uint8_t>& mask, int x0, int x1, int y0,
+                                            int y1) {
+  std::int64_t count = 0, sum_x = 0, sum_y = 0;
+  for (int y = y0; y < y1; ++y) {
+    for (int x = x0; x < x1; ++x) {
+      if (mask(y, x) == 0) continue;
+      ++count;
+      sum_x += x;
+      sum_y += y;
+    }
+  }
+  if (count == 0) return std::nullopt;
+  const Eigen::Vector2i middle(static_cast<int>(sum_x / count), static_cast<int>(sum_y / count));
+  if (mask(middle.y(), middle.x()) != 0) return middle;
+  Eigen::Vector2i best = middle;
+  int nearest = std::numeric_limits<int>::max();
+  for (int y = y0; y < y1; ++y) {
+    for (int x = x0; x < x1; ++x) {
+      const int distance = (Eigen::Vector2i(x, y) - middle).squaredNorm();
+      if (mask(y, x) == 0 || distance >= nearest) continue;
+      nearest = distance;
+      best = {x, y};
+    }
+  }
+  return best;
 }
 
 }  // namespace
@@ -89,21 +118,7 @@ std::vector<Eigen::Vector2i> SeedLattice(const Image<std::uint8_t>& mask, int sp
     const int x0 = margin_px + width * column / columns;
     const int x1 = margin_px + width * (column + 1) / columns;
     const int y0 = margin_px + height * row / rows, y1 = margin_px + height * (row + 1) / rows;
-    Eigen::Vector2i best((x0 + x1) / 2, (y0 + y1) / 2);
-    if (mask(best.y(), best.x()) == 0) {
-      int nearest = std::numeric_limits<int>::max();
-      const Eigen::Vector2i middle = best;
-      for (int y = y0; y < y1; ++y) {
-        for (int x = x0; x < x1; ++x) {
-          const int distance = (Eigen::Vector2i(x, y) - middle).squaredNorm();
-          if (mask(y, x) == 0 || distance >= nearest) continue;
-          nearest = distance;
-          best = {x, y};
-        }
-      }
-      if (nearest == std::numeric_limits<int>::max()) continue;
-    }
-    out.push_back(best);
+    if (const auto place = MiddleOfMask(mask, x0, x1, y0, y1)) out.push_back(*place);
   }
   return out;
 }

@@ -31,7 +31,7 @@ std::vector<SeedLevel> BuildSeedLevels(const GrayImage& reference, const GrayIma
                                        int shortest_px);
 
 // One pixel of each cell of a lattice: of those with mask != 0 and at least margin_px from the
-// border, the one nearest the middle of the cell. Row by row; cells without one are left out.
+// border, the one nearest their centroid. Row by row; cells without one are left out.
 std::vector<Eigen::Vector2i> SeedLattice(const Image<std::uint8_t>& mask, int spacing_px,
                                          int margin_px);
 

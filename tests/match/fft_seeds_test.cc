@@ -98,7 +98,7 @@ TEST(FftSeeds, FindAStripThatNoLatticePointHits) {
   const Motion motion = Motion::Shift(60, 9);
   const auto pair = RenderMoved({400, 300}, motion);
   Image<std::uint8_t> mask({400, 300}, 0);
-  for (int y = 40; y < 70; ++y) {
+  for (int y = 52; y < 80; ++y) {
     for (int x = 0; x < 300; ++x) mask(y, x) = 1;
   }
   ExpectGood(FindFftSeeds(pair.reference, pair.deformed, &mask), motion, 3);

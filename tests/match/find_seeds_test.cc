@@ -133,7 +133,7 @@ TEST(SeedsFromField, TakesTheBestOfEachCellAndNoneThatFailed) {
   for (int row = 0; row < 20; ++row) {
     for (int column = 15; column < 30; ++column) {
       field.status(row, column) = Status::kLowCorrelation;
-      field.displacement_px(row, column) = {std::numeric_limits<double>::quiet_NaN(), 0};
+      if (row < 10) field.displacement_px(row, column).x() = NAN;  // a status alone is enough
     }
   }
   field.zncc(4, 5) = 0.99F;
