@@ -39,23 +39,24 @@ int Mirrored(int i, int size) {
   return i < size ? i : period - i;
 }
 
-// Terms of the mirrored past that still matter in float.
-int Horizon(double pole, int size) {
-  return std::min(size, 1 + static_cast<int>(std::ceil(std::log(1e-9) / std::log(std::abs(pole)))));
+// Terms of the mirrored past that still matter in double.
+int Horizon(double pole) {
+  return static_cast<int>(std::ceil(std::log(1e-17) / std::log(std::abs(pole))));
 }
 
 // The two recursive filters of one pole along a row.
-void FilterRow(float* row, int size, double pole) {
-  const auto z = static_cast<float>(pole);
+void FilterRow(std::vector<double>& row, double z) {
+  const int size = static_cast<int>(row.size());
   double start = 0;
   double power = 1;
-  for (int i = 0; i < Horizon(pole, size); ++i, power *= pole) {
-    start += power * static_cast<double>(row[i]);
+  for (int i = 0; i < Horizon(z); ++i, power *= z) {
+    start += power * row[static_cast<std::size_t>(Mirrored(i, size))];
   }
-  row[0] = static_cast<float>(start);
-  for (int i = 1; i < size; ++i) row[i] += z * row[i - 1];
-  row[size - 1] = z / (z * z - 1) * (row[size - 1] + z * row[size - 2]);
-  for (int i = size - 1; i-- > 0;) row[i] = z * (row[i + 1] - row[i]);
+  row[0] = start;
+  for (std::size_t i = 1; i < row.size(); ++i) row[i] += z * row[i - 1];
+  const std::size_t last = row.size() - 1;
+  row[last] = z / (z * z - 1) * (row[last] + z * row[last - 1]);
+  for (std::size_t i = last; i-- > 0;) row[i] = z * (row[i + 1] - row[i]);
 }
 
 // The same down the columns [begin, end), all at once.
@@ -65,8 +66,8 @@ void FilterColumns(Image<float>& image, double pole, int begin, int end) {
   for (int x = begin; x < end; ++x) {
     double start = 0;
     double power = 1;
-    for (int i = 0; i < Horizon(pole, rows); ++i, power *= pole) {
-      start += power * static_cast<double>(image(i, x));
+    for (int i = 0; i < Horizon(pole); ++i, power *= pole) {
+      start += power * static_cast<double>(image(Mirrored(i, rows), x));
     }
     image(0, x) = static_cast<float>(start);
   }
@@ -88,6 +89,30 @@ void FilterColumns(Image<float>& image, double pole, int begin, int end) {
 }
 
 using Range = tbb::blocked_range<int>;
+
+// Response at zero of the recursive filters without it.
+double Gain(int degree) {
+  double gain = 1;
+  for (const double pole : Poles(degree)) gain *= (1 - pole) * (1 - 1 / pole);
+  return gain;
+}
+
+void FilterRows(int degree, double scale, Image<float>& image) {
+  const std::vector<double> poles = Poles(degree);
+  tbb::parallel_for(Range(0, image.height(), 8), [&](const Range& rows) {
+    std::vector<double> line(static_cast<std::size_t>(image.width()));
+    for (int y = rows.begin(); y < rows.end(); ++y) {
+      float* row = image.row(y);
+      std::transform(row, row + image.width(), line.begin(),
+                     [scale](float value) { return scale * static_cast<double>(value); });
+      if (image.width() > 1) {
+        for (const double pole : poles) FilterRow(line, pole);
+      }
+      std::transform(line.begin(), line.end(), row,
+                     [](double value) { return static_cast<float>(value); });
+    }
+  });
+}
 
 }  // namespace
 
@@ -130,21 +155,13 @@ SplineHalfWeights HalfWeights(int degree) {
   return half;
 }
 
+void RowSamplesToCoefficients(int degree, Image<float>& image) {
+  FilterRows(degree, image.width() > 1 ? Gain(degree) : 1, image);
+}
+
 void SamplesToCoefficients(int degree, Image<float>& image) {
-  double gain = 1;
-  for (const double pole : Poles(degree)) gain *= (1 - pole) * (1 - 1 / pole);
-  const bool wide = image.width() > 1;
   const bool high = image.height() > 1;
-  const auto scale = static_cast<float>((wide ? gain : 1) * (high ? gain : 1));
-  tbb::parallel_for(Range(0, image.height(), 8), [&](const Range& rows) {
-    for (int y = rows.begin(); y < rows.end(); ++y) {
-      float* row = image.row(y);
-      for (int x = 0; x < image.width(); ++x) row[x] *= scale;
-      for (const double pole : Poles(degree)) {
-        if (wide) FilterRow(row, image.width(), pole);
-      }
-    }
-  });
+  FilterRows(degree, (image.width() > 1 ? Gain(degree) : 1) * (high ? Gain(degree) : 1), image);
   if (!high) return;
   tbb::parallel_for(Range(0, (image.width() + 63) / 64), [&](const Range& strips) {
     for (const double pole : Poles(degree)) {

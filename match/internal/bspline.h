@@ -18,6 +18,16 @@ constexpr int SplineTaps(int degree) { return degree + 1; }
 void SplineWeights(int degree, double t, double* weights);
 void SplineSlopeWeights(int degree, double t, double* weights);
 
+// The cubic ones in float, for loops over many places.
+inline void CubicWeights(float t, float weights[4]) {
+  const float t2 = t * t;
+  const float t3 = t2 * t;
+  weights[0] = (1 - 3 * t + 3 * t2 - t3) / 6;
+  weights[1] = (4 - 6 * t2 + 3 * t3) / 6;
+  weights[2] = (1 + 3 * t + 3 * t2 - 3 * t3) / 6;
+  weights[3] = t3 / 6;
+}
+
 // The weights by powers of s = t - 1/2: tap k has sum_i even[k][i] s^(2 i) + s sum_i odd[k][i] s^(2
 // i), and its mirror image, tap degree - k, the same with the minus sign. For the first half of the
 // taps; (degree + 1) / 2 numbers each.
@@ -30,6 +40,9 @@ SplineHalfWeights HalfWeights(int degree);
 // Samples to coefficients, in place, mirrored about the border samples. Uses all threads, the same
 // for any number of them. An axis of one sample is left as it is.
 void SamplesToCoefficients(int degree, Image<float>& image);
+
+// The same along x only, each row for itself: all that a rectified pair needs.
+void RowSamplesToCoefficients(int degree, Image<float>& image);
 
 // The samples of the spline that has these coefficients, filtered along x by `along_x` and along y
 // by `along_y` (odd numbers of taps, correlation, mirrored borders).

@@ -9,7 +9,7 @@
 #include <limits>
 #include <vector>
 
-#include "match/internal/row_spline.h"
+#include "match/internal/bspline.h"
 
 namespace plumbline::internal {
 namespace {
@@ -313,7 +313,8 @@ Image<float> ToFloat(const Image<std::uint16_t>& image) {
 // Derivative of the cubic B-spline at the samples, averaged over three rows with Scharr's weights:
 // an instrument with less noise than the derivative itself, which is what the variance depends on.
 Image<float> GradientX(const Image<std::uint16_t>& image) {
-  const Image<float> c = RowSplineCoefficients(ToFloat(image));
+  Image<float> c = ToFloat(image);
+  RowSamplesToCoefficients(3, c);
   Image<float> gradient(image.size(), 0.0F);
   const int height = c.height();
   tbb::parallel_for(0, height, [&](int y) {
@@ -335,8 +336,8 @@ Image<float> GradientX(const Image<std::uint16_t>& image) {
 RefinedDisparity RefineDisparity(const GrayImage& left, const GrayImage& right,
                                  const Image<float>& start_px, int radius_px) {
   const ImageSize size = left.size();
-  const Images images{left, GradientX(left.grey), RowSplineCoefficients(ToFloat(right.grey)),
-                      start_px};
+  Images images{left, GradientX(left.grey), ToFloat(right.grey), start_px};
+  RowSamplesToCoefficients(3, images.right_coefficients);
   RefinedDisparity out;
   for (auto* image :
        {&out.value_px, &out.variance_px2, &out.data_share, &out.gradient_noise_share,
