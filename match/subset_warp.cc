@@ -66,13 +66,6 @@ SubsetWarp SubsetWarp::MovedTo(const Eigen::Vector2d& offset_px) const {
   return moved;
 }
 
-double SubsetWarp::LargestShift(double radius_px) const {
-  const double r = radius_px;
-  Eigen::Matrix<double, 6, 1> reach;
-  reach << 1, r, r, r * r, r * r, r * r;
-  return (c.cwiseAbs() * reach).norm();
-}
-
 SubsetWarp Compose(const SubsetWarp& outer, const SubsetWarp& inner) {
   const auto [x, y] = Coordinates(inner);
   const std::array<Polynomial, 6> monomials = {

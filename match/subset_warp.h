@@ -22,9 +22,6 @@ struct SubsetWarp {
 
   // The same motion told from another centre, offset_px away from this one.
   SubsetWarp MovedTo(const Eigen::Vector2d& offset_px) const;
-
-  // Largest shift, in px, of any point of a square of this half width.
-  double LargestShift(double radius_px) const;
 };
 
 // outer(inner(x)), cut after the second order: exact for affine warps.

@@ -8,6 +8,9 @@
 namespace plumbline::internal {
 namespace {
 
+// Below it nothing of the texture is there: what is left of a blank image is rounding.
+constexpr double kLeastGain = 1e-4;
+
 constexpr int kPowerX[6] = {0, 1, 0, 2, 1, 0};
 constexpr int kPowerY[6] = {0, 0, 1, 0, 1, 2};
 
@@ -55,6 +58,10 @@ NormalEquations::NormalEquations(int order, int pixel_count, const ReferenceSums
   information_ = full_ - count_ * mean_gradient_ * mean_gradient_.transpose() -
                  energy_ * slope_ * slope_.transpose();
   if (!(information_.diagonal().minCoeff() > 0) || !information_.allFinite()) return;
+  // Stripes: what is seen along them is the rounding of the filters.
+  const double along_x = information_(0, 0);
+  const double along_y = information_(terms_, terms_);
+  if (std::min(along_x, along_y) < 1e-7 * std::max(along_x, along_y)) return;
   scale_ = information_.diagonal().cwiseSqrt().cwiseInverse();
   const ShapeMatrix scaled = scale_.asDiagonal() * information_ * scale_.asDiagonal();
   const bool positive = WithSize(unknowns(), [&](auto size) {
@@ -106,7 +113,7 @@ bool NormalEquations::Step(const Fit& fit, double lambda, SubsetWarp& step) cons
   }
   delta = scale_.cwiseProduct(delta).eval();
   const double gain = fit.gain - slope_.dot(delta);
-  if (!(gain > 0) || !delta.allFinite()) return false;
+  if (!(gain > kLeastGain) || !delta.allFinite()) return false;
   step = SubsetWarp();
   for (int k = 0; k < terms_; ++k) {
     step.c(0, k) = delta[k] / gain;

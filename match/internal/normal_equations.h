@@ -35,7 +35,7 @@ class NormalEquations {
   Fit Evaluate(const TargetSums& target) const;
 
   // The step to take, damped by lambda times the diagonal of H~. False where the gain would not be
-  // positive.
+  // positive, or next to nothing.
   bool Step(const Fit& fit, double lambda, SubsetWarp& step) const;
 
   // H~^-1 M~ H~^-1 per variance of a raw pixel, of the displacement and its gradient: u, du/dx,

@@ -48,9 +48,10 @@ int TakeRows(const ReferencePlanes& planes, const SubsetOutline& outline, int co
   int total = 0;
   for (int i = 0; i <= 2 * outline.radius; ++i) {
     const int y = row + i - outline.radius;
-    if (y < 0 || y >= size.height) continue;
-    const int first = std::max(0, column + outline.begin[static_cast<std::size_t>(i)]);
-    const int last = std::min(size.width, column + outline.end[static_cast<std::size_t>(i)]);
+    if (y < planes.edge || y >= size.height - planes.edge) continue;
+    const int first = std::max(planes.edge, column + outline.begin[static_cast<std::size_t>(i)]);
+    const int last =
+        std::min(size.width - planes.edge, column + outline.end[static_cast<std::size_t>(i)]);
     const int count = last - first;
     if (count <= 0) continue;
     const int runs = (count + PackedSubset::kRun - 1) / PackedSubset::kRun;

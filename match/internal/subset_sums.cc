@@ -212,20 +212,16 @@ HWY_NOINLINE V InterpolateApart(const TargetPixels& target, hn::Vec<DI> column, 
   return value;
 }
 
-// The rows' polynomials in x of the warped coordinate.
+// The rows' polynomials in x of the warped coordinate; its second order for kOrder 2 only.
 template <int kOrder>
 HWY_INLINE V Warped(const float* warp, float y, V x) {
   const D d;
-  if constexpr (kOrder == 0)
-    return hn::Add(hn::MulAdd(x, hn::Set(d, warp[1]), hn::Set(d, warp[0])),
-                   hn::Set(d, warp[2] * y));
-  const float constant = warp[0] + y * (warp[2] + y * warp[5]);
-  const float linear = warp[1] + y * warp[4];
-  V value = hn::MulAdd(x, hn::Set(d, linear), hn::Set(d, constant));
-  if constexpr (kOrder == 2) {
-    value = hn::MulAdd(hn::Mul(x, x), hn::Set(d, warp[3]), value);
+  if constexpr (kOrder < 2) {
+    return hn::MulAdd(x, hn::Set(d, warp[1]), hn::Set(d, warp[0] + y * warp[2]));
+  } else {
+    const V linear = hn::MulAdd(x, hn::Set(d, warp[3]), hn::Set(d, warp[1] + y * warp[4]));
+    return hn::MulAdd(x, linear, hn::Set(d, warp[0] + y * (warp[2] + y * warp[5])));
   }
-  return value;
 }
 
 template <int kOrder, int kDegree>

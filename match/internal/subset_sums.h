@@ -20,6 +20,9 @@ constexpr int kProductTerms[3] = {1, 6, 15};
 // Floats at an address that any vector unit likes; the size can only grow.
 class AlignedFloats {
  public:
+  AlignedFloats() = default;
+  AlignedFloats(const AlignedFloats&) = delete;  // a copy's data would lie elsewhere
+  AlignedFloats& operator=(const AlignedFloats&) = delete;
   float* Resize(std::size_t size);  // contents are lost
   float* data() { return data_; }
   const float* data() const { return data_; }
@@ -72,10 +75,11 @@ struct ReferencePlanes {
   const Image<float>* noise_x = nullptr;
   const Image<float>* noise_y = nullptr;
   const Image<unsigned char>* mask = nullptr;
+  int edge = 0;  // pixels at the border that do not count either
 };
 
-// Takes the subset around the pixel (column, row) out of the planes, cut where the image ends.
-// Returns how many pixels count.
+// Takes the subset around the pixel (column, row) out of the planes, cut where the image (less its
+// edge) ends. Returns how many pixels count.
 int Pack(const ReferencePlanes& planes, const SubsetOutline& outline, int column, int row,
          float grey_offset, PackedSubset& subset);
 
@@ -97,7 +101,8 @@ struct TargetPixels {
   std::ptrdiff_t stride = 0;
   int degree = 5;
   float grey_offset = 0;
-  // Offset (x, y) in the reference -> offset from that pixel: sum_k warp_x[k] m_k(x, y).
+  // Offset (x, y) in the reference -> offset from that pixel: sum_k warp_x[k] m_k(x, y). Sums of
+  // order 0 and 1 use the affine part alone.
   float warp_x[6] = {}, warp_y[6] = {};
 };
 
