@@ -93,6 +93,19 @@ CorrelationImage::CorrelationImage(const GrayImage& image, const CorrelationImag
   }
 }
 
+// Where the error of subsets at the border, of rendered images, is down to that of all others.
+int CorrelationImage::edge_px() const {
+  const int of_spline = options_.interpolation == Interpolation::kCubic ? 2 : 3;
+  switch (options_.prefilter) {
+    case Prefilter::kNone:
+      return of_spline;
+    case Prefilter::kGaussian:
+      return std::max(of_spline, 1 + static_cast<int>(std::ceil(2.5 * options_.gaussian_sigma_px)));
+    default:
+      return 4;
+  }
+}
+
 double CorrelationImage::Value(const Eigen::Vector2d& pixel) const {
   const double x0 = std::floor(pixel.x());
   const double y0 = std::floor(pixel.y());

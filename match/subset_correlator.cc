@@ -5,6 +5,7 @@
 #include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 
 #include "calib/error.h"
@@ -21,29 +22,49 @@ using internal::TargetPixels;
 
 // A drop of the correlation that cannot be rounding: the step is taken back and damped.
 constexpr double kWorse = 1e-4;
+// Undamped step, in stop_px, up to which a search that had to be damped has converged.
+constexpr double kNearly = 10;
+// How far a subset may stray beyond the outermost pixels that are to be used: at the end, so that
+// noise does not decide about subsets at the border of views that do not move; and on the way, so
+// that a start does not.
+constexpr double kBorderPx = 0.25;
+constexpr double kStrayPx = 1;
+// Determinant below which a warp is taken to fold the subset over.
+constexpr double kFolded = 0.01;
+
+double Determinant(const SubsetWarp& warp) {
+  return (Eigen::Matrix2d::Identity() + warp.gradient()).determinant();
+}
+
+// Offsets from the centre that a subset reaches, those cut off by the image left out.
+struct Reach {
+  Eigen::Vector2d low, high;
+};
 
 // The pixel that a warp counts from, and the warp from there; nothing where some point of the
 // subset would leave the image.
 bool Aim(const CorrelationImage& deformed, const Eigen::Vector2i& pixel, const SubsetWarp& warp,
-         int radius, TargetPixels& target) {
-  const double r = radius;
+         const Reach& reach, double stray_px, TargetPixels& target) {
   if (!warp.c.allFinite() || warp.c.col(0).cwiseAbs().maxCoeff() > 1e6) return false;
+  if (!(Determinant(warp) > kFolded)) return false;
   const Eigen::Vector2d centre = pixel.cast<double>() + warp.displacement_px();
-  Eigen::Vector2d low = centre;
-  Eigen::Vector2d high = centre;
-  for (const double sx : {-r, r}) {
-    for (const double sy : {-r, r}) {
+  Eigen::Vector2d low = Eigen::Vector2d::Constant(std::numeric_limits<double>::infinity());
+  Eigen::Vector2d high = -low;
+  for (const double x : {reach.low.x(), reach.high.x()}) {
+    for (const double y : {reach.low.y(), reach.high.y()}) {
       const Eigen::Vector2d corner =
-          centre + Eigen::Vector2d(sx, sy) + warp.gradient() * Eigen::Vector2d(sx, sy);
+          centre + Eigen::Vector2d(x, y) + warp.gradient() * Eigen::Vector2d(x, y);
       low = low.cwiseMin(corner);
       high = high.cwiseMax(corner);
     }
   }
+  const double r = std::max(-reach.low.minCoeff(), reach.high.maxCoeff());
   const Eigen::Vector2d bend = warp.c.rightCols<3>().cwiseAbs().rowwise().sum() * r * r;
   low -= bend;
   high += bend;
-  if (!(low.minCoeff() >= 0) || !(high.x() <= deformed.size().width - 1) ||
-      !(high.y() <= deformed.size().height - 1)) {
+  const double first = deformed.edge_px() - stray_px;
+  if (!(low.minCoeff() >= first) || !(high.x() <= deformed.size().width - 1 - first) ||
+      !(high.y() <= deformed.size().height - 1 - first)) {
     return false;
   }
   const Eigen::Vector2d base = centre.array().floor();
@@ -59,6 +80,30 @@ bool Aim(const CorrelationImage& deformed, const Eigen::Vector2i& pixel, const S
   target.warp_x[0] = static_cast<float>(centre.x() - base.x());
   target.warp_y[0] = static_cast<float>(centre.y() - base.y());
   return true;
+}
+
+// The mask without its pixels within this distance (along x or y) of those that it leaves out.
+Image<std::uint8_t> Eroded(const Image<std::uint8_t>& mask, int distance) {
+  Image<std::uint8_t> along_x(mask.size(), 1);
+  Image<std::uint8_t> eroded(mask.size(), 1);
+  for (int y = 0; y < mask.height(); ++y) {
+    int done = 0;
+    for (int x = 0; x < mask.width(); ++x) {
+      if (mask(y, x) != 0) continue;
+      const int end = std::min(mask.width(), x + distance + 1);
+      std::fill(along_x.row(y) + std::max(done, x - distance), along_x.row(y) + end,
+                std::uint8_t{0});
+      done = end;
+    }
+  }
+  for (int y = 0; y < mask.height(); ++y) {
+    for (int k = std::max(0, y - distance); k <= std::min(mask.height() - 1, y + distance); ++k) {
+      const std::uint8_t* from = along_x.row(k);
+      std::uint8_t* to = eroded.row(y);
+      for (int x = 0; x < mask.width(); ++x) to[x] &= from[x];
+    }
+  }
+  return eroded;
 }
 
 // Mean over the subset of what interpolation leaves of the noise under a warp.
@@ -115,6 +160,7 @@ struct SubsetCorrelator::Impl {
   const CorrelationImage& reference;
   CorrelatorOptions options;
   const Image<std::uint8_t>* mask;
+  Image<std::uint8_t> pixels_used;  // the mask less its edge; empty without one
   internal::SubsetOutline outline;
   internal::ReferencePlanes planes;
   bool filtered;
@@ -125,12 +171,18 @@ struct SubsetCorrelator::Impl {
     PackedSubset pixels;
     int count = 0;
     float offset = 0;
+    Reach reach;
   };
 
+  int CountInside(const Eigen::Vector2i& pixel) const;
   Status Take(const Eigen::Vector2i& pixel, Subset& subset) const;
+  SubsetMatch Find(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
+                   const SubsetWarp& start) const;
   SubsetMatch Search(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
                      const SubsetWarp& start, const Subset& subset,
                      const NormalEquations& equations, NormalEquations::Fit& fit) const;
+  bool Settled(const NormalEquations& equations, const NormalEquations::Fit& fit, double lambda,
+               double stop_px2) const;
   double VarianceOf(const NormalEquations& equations, const NormalEquations::Fit& fit,
                     const Subset& subset, const CorrelationImage& deformed,
                     const Eigen::Vector2i& pixel, const SubsetWarp& warp) const;
@@ -153,6 +205,7 @@ SubsetCorrelator::SubsetCorrelator(const CorrelationImage& reference,
   auto impl = std::make_unique<Impl>(Impl{reference,
                                           options,
                                           mask,
+                                          {},
                                           options.shape == SubsetShape::kCircle
                                               ? internal::SubsetOutline::Circle(radius)
                                               : internal::SubsetOutline::Square(radius),
@@ -161,18 +214,39 @@ SubsetCorrelator::SubsetCorrelator(const CorrelationImage& reference,
   for (std::size_t i = 0; i < impl->outline.begin.size(); ++i) {
     impl->full_count += impl->outline.end[i] - impl->outline.begin[i];
   }
+  if (mask != nullptr) impl->pixels_used = Eroded(*mask, reference.edge_px());
   impl->planes = {&reference.grey(),
                   &reference.gradient_x(),
                   &reference.gradient_y(),
                   impl->filtered ? &reference.noise_gradient_x() : nullptr,
                   impl->filtered ? &reference.noise_gradient_y() : nullptr,
-                  mask};
+                  mask != nullptr ? &impl->pixels_used : nullptr,
+                  reference.edge_px()};
   impl_ = std::move(impl);
 }
 
 SubsetCorrelator::~SubsetCorrelator() = default;
 
 const CorrelatorOptions& SubsetCorrelator::options() const { return impl_->options; }
+
+// Pixels of a subset that lie in the image and the mask.
+int SubsetCorrelator::Impl::CountInside(const Eigen::Vector2i& pixel) const {
+  const ImageSize size = reference.size();
+  int count = 0;
+  for (std::size_t i = 0; i < outline.begin.size(); ++i) {
+    const int y = pixel.y() + static_cast<int>(i) - outline.radius;
+    if (y < 0 || y >= size.height) continue;
+    const int first = std::max(0, pixel.x() + outline.begin[i]);
+    const int last = std::min(size.width, pixel.x() + outline.end[i]);
+    if (mask == nullptr) {
+      count += std::max(0, last - first);
+    } else {
+      const std::uint8_t* row = mask->row(y);
+      for (int x = first; x < last; ++x) count += row[x] != 0 ? 1 : 0;
+    }
+  }
+  return count;
+}
 
 // kOk, or why there is nothing to look for.
 Status SubsetCorrelator::Impl::Take(const Eigen::Vector2i& pixel, Subset& subset) const {
@@ -181,14 +255,17 @@ Status SubsetCorrelator::Impl::Take(const Eigen::Vector2i& pixel, Subset& subset
     return Status::kOutsideImage;
   }
   if (mask != nullptr && (*mask)(pixel.y(), pixel.x()) == 0) return Status::kMasked;
+  const int r = options.radius_px();
+  const int edge = reference.edge_px();
+  const Eigen::Vector2i last(size.width - 1, size.height - 1);
+  subset.reach.low = (Eigen::Vector2i::Constant(edge) - pixel).cwiseMax(-r).cast<double>();
+  subset.reach.high = (last - Eigen::Vector2i::Constant(edge) - pixel).cwiseMin(r).cast<double>();
   subset.offset = reference.grey()(pixel.y(), pixel.x());
   subset.count =
       internal::Pack(planes, outline, pixel.x(), pixel.y(), subset.offset, subset.pixels);
   const int unknowns = 2 * internal::kShapeTerms[options.order] + 2;
-  if (subset.count < std::max(2.0 * unknowns, options.min_pixel_share * full_count)) {
-    const int r = options.radius_px();
-    const bool inside = pixel.x() >= r && pixel.y() >= r && pixel.x() + r < size.width &&
-                        pixel.y() + r < size.height;
+  if (subset.count < 2 * unknowns || CountInside(pixel) < options.min_pixel_share * full_count) {
+    const bool inside = (pixel.array() - r).minCoeff() >= 0 && (last - pixel).minCoeff() >= r;
     return inside ? Status::kMasked : Status::kOutsideImage;
   }
   return Status::kOk;
@@ -207,13 +284,17 @@ SubsetMatch SubsetCorrelator::Impl::Search(const CorrelationImage& deformed,
   double lambda = 0;
   SubsetWarp trial = start;
   SubsetWarp step;
+  bool left = false;  // the image, at some step
+  const auto failed = [&] { return left ? Status::kOutsideImage : Status::kNotConverged; };
   for (int i = 0; i < options.max_iterations; ++i) {
     ++match.iterations;
-    const bool inside = Aim(deformed, pixel, trial, options.radius_px(), target);
+    const bool inside = Aim(deformed, pixel, trial, subset.reach, kStrayPx, target);
     if (!inside && i == 0) {
       match.status = Status::kOutsideImage;
+      match.zncc = SubsetMatch::kNone;
       return match;
     }
+    left = left || !inside;
     NormalEquations::Fit now;
     if (inside) now = equations.Evaluate(SumTarget(subset.pixels, target, options.order));
     if (inside && now.zncc > match.zncc - kWorse) {
@@ -222,30 +303,43 @@ SubsetMatch SubsetCorrelator::Impl::Search(const CorrelationImage& deformed,
       fit = now;
       lambda = lambda > 1e-4 ? lambda / 10 : 0;
     } else if (lambda > 1e4) {
-      match.status = inside ? Status::kNotConverged : Status::kOutsideImage;
+      match.status = failed();
       return match;
     } else {
       lambda = std::max(1e-2, 10 * lambda);
     }
-    if (!equations.Step(fit, lambda, step)) {
+    bool solved = equations.Step(fit, lambda, step);
+    while (solved && !(Determinant(step) > kFolded)) {
+      lambda = std::max(1e-1, 10 * lambda);
+      solved = equations.Step(fit, lambda, step);
+    }
+    if (!solved) {
       match.status = Status::kLowCorrelation;
       return match;
     }
-    const double shift = NormalEquations::MeanSquareShift(step, options.radius_px());
-    const Eigen::Matrix2d bent = Eigen::Matrix2d::Identity() + step.gradient();
-    if (!(bent.determinant() > 0.01)) {
-      lambda = std::max(1e-1, 10 * lambda);
-      continue;
-    }
     trial = Compose(match.warp, Inverse(step));
-    if (shift < stop) {
+    if (NormalEquations::MeanSquareShift(step, options.radius_px()) < stop) {
       match.warp = trial;
-      match.status = Status::kOk;
+      match.status = Settled(equations, fit, lambda, stop) ? Status::kOk : failed();
+      if (match.status == Status::kOk &&
+          !Aim(deformed, pixel, trial, subset.reach, kBorderPx, target)) {
+        match.status = Status::kOutsideImage;
+      }
       return match;
     }
   }
-  match.status = Status::kNotConverged;
+  match.status = failed();
   return match;
+}
+
+// Whether it is not its damping alone that makes a step small.
+bool SubsetCorrelator::Impl::Settled(const NormalEquations& equations,
+                                     const NormalEquations::Fit& fit, double lambda,
+                                     double stop_px2) const {
+  SubsetWarp plain;
+  return lambda == 0 || (equations.Step(fit, 0, plain) &&
+                         NormalEquations::MeanSquareShift(plain, options.radius_px()) <
+                             kNearly * kNearly * stop_px2);
 }
 
 // Variance of a raw pixel's noise, both images' together, in grey levels of the reference.
@@ -271,21 +365,20 @@ double SubsetCorrelator::Impl::VarianceOf(const NormalEquations& equations,
   return std::max(one_image, kRoundingVarianceGrey2) * (1 + 1 / gain2);
 }
 
-SubsetMatch SubsetCorrelator::Match(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
-                                    const SubsetWarp& start) const {
-  const Impl& impl = *impl_;
-  if (deformed.options() != impl.reference.options()) {
-    throw std::invalid_argument("SubsetCorrelator: both images are prepared with the same options");
-  }
-  static thread_local Impl::Subset subset;
+SubsetMatch SubsetCorrelator::Impl::Find(const CorrelationImage& deformed,
+                                         const Eigen::Vector2i& pixel,
+                                         const SubsetWarp& start) const {
+  static thread_local Subset subset;
   SubsetMatch match;
-  match.status = impl.Take(pixel, subset);
+  match.status = Take(pixel, subset);
   if (match.status != Status::kOk) return match;
-  if (!start.c.allFinite()) {
+  const int order = options.order;
+  SubsetWarp from = start;
+  if (order < 2) from.c.rightCols<3>().setZero();
+  if (!from.c.allFinite() || !(Determinant(from) > kFolded)) {
     match.status = Status::kNotConverged;
     return match;
   }
-  const int order = impl.options.order;
   const NormalEquations equations(
       order, subset.count, SumReference(subset.pixels, order),
       SumProducts(subset.pixels, subset.pixels.gradient_x, subset.pixels.gradient_y, order));
@@ -294,19 +387,19 @@ SubsetMatch SubsetCorrelator::Match(const CorrelationImage& deformed, const Eige
     return match;
   }
   NormalEquations::Fit fit;
-  match = impl.Search(deformed, pixel, start, subset, equations, fit);
+  match = Search(deformed, pixel, from, subset, equations, fit);
   if (match.status != Status::kOk) return match;
-  if (match.zncc < impl.options.min_zncc) {
+  if (match.zncc < options.min_zncc) {
     match.status = Status::kLowCorrelation;
     return match;
   }
   ProductSums noise;
-  if (impl.filtered) {
+  if (filtered) {
     noise = SumProducts(subset.pixels, subset.pixels.noise_x, subset.pixels.noise_y, order);
   }
-  const double variance = impl.VarianceOf(equations, fit, subset, deformed, pixel, match.warp);
+  const double variance = VarianceOf(equations, fit, subset, deformed, pixel, match.warp);
   const NormalEquations::Covariance covariance =
-      variance * equations.CovariancePerVariance(impl.filtered ? &noise : nullptr);
+      variance * equations.CovariancePerVariance(filtered ? &noise : nullptr);
   match.noise_grey = std::sqrt(variance / (1 + 1 / (fit.gain * fit.gain)));
   const int v = static_cast<int>(covariance.rows()) / 2;
   match.cov_displacement_px2 << covariance(0, 0), covariance(0, v), covariance(v, 0),
@@ -317,10 +410,24 @@ SubsetMatch SubsetCorrelator::Match(const CorrelationImage& deformed, const Eige
       for (int k = 0; k < 4; ++k) match.cov_gradient(i, k) = covariance(places[i], places[k]);
     }
   }
-  if (!(WorstSigma(match.cov_displacement_px2) <= impl.options.max_sigma_px)) {
+  if (!(WorstSigma(match.cov_displacement_px2) <= options.max_sigma_px)) {
     match.status = Status::kLowTexture;
   }
   return match;
+}
+
+SubsetMatch SubsetCorrelator::Match(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
+                                    const SubsetWarp& start) const {
+  if (deformed.options() != impl_->reference.options()) {
+    throw std::invalid_argument("SubsetCorrelator: both images are prepared with the same options");
+  }
+  const SubsetMatch match = impl_->Find(deformed, pixel, start);
+  if (match.status == Status::kOk) return match;
+  SubsetMatch none;
+  none.status = match.status;
+  none.zncc = match.zncc;
+  none.iterations = match.iterations;
+  return none;
 }
 
 double SubsetCorrelator::Zncc(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
@@ -328,7 +435,7 @@ double SubsetCorrelator::Zncc(const CorrelationImage& deformed, const Eigen::Vec
   static thread_local Impl::Subset subset;
   TargetPixels target;
   if (impl_->Take(pixel, subset) != Status::kOk ||
-      !Aim(deformed, pixel, warp, impl_->options.radius_px(), target)) {
+      !Aim(deformed, pixel, warp, subset.reach, kBorderPx, target)) {
     return SubsetMatch::kNone;
   }
   target.grey_offset = subset.offset;

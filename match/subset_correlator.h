@@ -25,6 +25,7 @@ struct CorrelatorOptions {
   double min_zncc = 0.6;      // below: low_correlation
   double max_sigma_px = 0.3;  // of the displacement, in its worst direction; above: low_texture
   // Of the subset's pixels, inside of image and mask: below, the point is masked or outside_image.
+  // (Those within CorrelationImage::edge_px() of either's edge are inside, but not used.)
   double min_pixel_share = 0.5;
   // Noise of both cameras' images. Without it the residual of each subset tells, which counts
   // what the model does not explain as noise.
@@ -39,7 +40,7 @@ struct CorrelatorOptions {
 // search ended with: zncc and iterations.
 struct SubsetMatch {
   Status status = Status::kNotConverged;
-  SubsetWarp warp;
+  SubsetWarp warp = {Eigen::Matrix<double, 2, 6>::Constant(kNone)};
   Eigen::Matrix2d cov_displacement_px2 = Eigen::Matrix2d::Constant(kNone);
   Eigen::Matrix4d cov_gradient = Eigen::Matrix4d::Constant(kNone);  // du/dx, du/dy, dv/dx, dv/dy
   double zncc = kNone;
@@ -77,7 +78,9 @@ class SubsetCorrelator {
 
   const CorrelatorOptions& options() const;
 
-  // Finds the subset around a pixel of the reference (x, y), starting from a warp. Throws
+  // Finds the subset around a pixel of the reference (x, y), starting from a warp; of that, the
+  // second order counts for order 2 only. Where the reference or the mask cuts the subset off, what
+  // is left of it is looked for; all of that has to lie inside the deformed image. Throws
   // std::invalid_argument when the deformed image was not prepared with the reference's options.
   SubsetMatch Match(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
                     const SubsetWarp& start) const;
