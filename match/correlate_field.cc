@@ -1,7 +1,6 @@
 #include "match/correlate_field.h"
 
 #include <fmt/format.h>
-#include <oneapi/tbb/parallel_for.h>
 
 #include <algorithm>
 #include <cmath>
@@ -9,68 +8,22 @@
 #include <optional>
 
 #include "calib/error.h"
-#include "match/internal/field_parts.h"
 #include "match/internal/propagation.h"
+#include "match/internal/verify_field.h"
 
 namespace plumbline {
 namespace {
 
 using internal::Propagation;
 
-// The reference's own place of a point that a backward match should come back to.
-constexpr double kSigmas = 5;
-// Of the correlation that the match had: what an independent look has to see of it.
-constexpr double kSeenAgain = 0.5;
-
-double Bilinear(const GrayImage& image, const Eigen::Vector2d& at) {
-  const int x = std::clamp(static_cast<int>(std::floor(at.x())), 0, image.width() - 2);
-  const int y = std::clamp(static_cast<int>(std::floor(at.y())), 0, image.height() - 2);
-  const double s = at.x() - x;
-  const double t = at.y() - y;
-  const std::uint16_t* row = image.grey.row(y) + x;
-  const std::uint16_t* next = image.grey.row(y + 1) + x;
-  return (1 - t) * ((1 - s) * row[0] + s * row[1]) + t * ((1 - s) * next[0] + s * next[1]);
-}
-
-// Zero-normalised cross-correlation of the inner half of a subset, by plain bilinear interpolation
-// of the raw images: shares nothing with the correlator but the place it found.
-double LookAgain(const GrayImage& reference, const GrayImage& deformed,
-                 const Eigen::Vector2i& pixel, const SubsetWarp& warp, int radius) {
-  double n = 0;
-  double f = 0;
-  double g = 0;
-  double ff = 0;
-  double gg = 0;
-  double fg = 0;
-  for (int y = -radius; y <= radius; ++y) {
-    for (int x = -radius; x <= radius; ++x) {
-      const Eigen::Vector2i at = pixel + Eigen::Vector2i(x, y);
-      if (at.minCoeff() < 0 || at.x() >= reference.width() || at.y() >= reference.height()) {
-        continue;
-      }
-      const double a = reference.grey(at.y(), at.x());
-      const double b = Bilinear(deformed, pixel.cast<double>() + warp.Apply(Eigen::Vector2d(x, y)));
-      n += 1;
-      f += a;
-      g += b;
-      ff += a * a;
-      gg += b * b;
-      fg += a * b;
-    }
-  }
-  const double norm = (ff - f * f / n) * (gg - g * g / n);
-  return norm > 0 ? (fg - f * g / n) / std::sqrt(norm) : 0;
-}
-
-double WorstVariance(const Eigen::Vector3f& cov) {
-  return static_cast<double>(cov[0]) + static_cast<double>(cov[2]);
-}
+constexpr int kSmallestSeedSubset = 9;  // px, of FftSeedOptions and FeatureSeedOptions
 
 }  // namespace
 
 void FieldOptions::Check() const {
   correlator.Check();
   image.Check();
+  seeds.Check();
   if (step_px < 1) {
     throw UsageError(fmt::format("The step between points is 1 px or more; {} is not.", step_px));
   }
@@ -93,10 +46,6 @@ struct FieldCorrelator::Impl {
                                            const std::vector<CorrelationSeed>& seeds) const;
   std::vector<CorrelationSeed> SeedsForTheRest(const GrayImage& image,
                                                const PlanarField& field) const;
-  void Verify(const GrayImage& image, const CorrelationImage& deformed,
-              const Propagation& propagation, CorrelatedField& result) const;
-  void JudgeParts(CorrelatedField& result) const;
-  void Reject(std::int64_t point, PlanarField& field) const;
   void CheckImage(const GrayImage& image) const;
   CorrelatedField Run(const GrayImage& image, const CorrelationImage& deformed,
                       const std::vector<Propagation::Start>& starts, bool reseed) const;
@@ -125,6 +74,11 @@ FieldCorrelator::FieldCorrelator(const GrayImage& reference, const FieldOptions&
     filled.first_px = Eigen::Vector2i(first, first);
     filled.grid = {count(reference.width()), count(reference.height())};
   }
+  // Seeds are looked for with subsets that have room to move in a small image too.
+  const int shorter = std::min(reference.width(), reference.height());
+  const int widest = std::max(kSmallestSeedSubset, shorter / 3 * 2 + 1);
+  filled.seeds.fft.subset_px = std::min(filled.seeds.fft.subset_px, widest);
+  filled.seeds.features.subset_px = std::min(filled.seeds.features.subset_px, widest);
   impl_ = std::make_unique<Impl>(reference, filled, mask);
   if (filled.grid.width < 1 || filled.grid.height < 1) {
     throw InputError("The region holds no point to correlate: take a larger one.");
@@ -259,81 +213,12 @@ CorrelatedField FieldCorrelator::Impl::Run(const GrayImage& image, const Correla
   }
   counts.seeds = static_cast<std::int64_t>(starts.size());
   if (options.verify) {
-    Verify(image, deformed, propagation, result);
-    JudgeParts(result);
+    internal::RejectNotFoundBack({raw, reference, image, deformed, MaskOrNull()}, options,
+                                 propagation, field, counts);
+    internal::RejectParts(options.keep_still_parts, field, counts);
   }
-  for (std::size_t i = 0; i < field.status.pixel_count(); ++i) {
-    const Status status = field.status.data()[i];
-    ++counts.points;
-    ++counts.by_status[static_cast<std::size_t>(status)];
-    counts.attempted += status != Status::kMasked ? 1 : 0;
-    counts.ok += status == Status::kOk ? 1 : 0;
-  }
+  internal::CountStatuses(field, counts);
   return result;
-}
-
-void FieldCorrelator::Impl::Reject(std::int64_t point, PlanarField& field) const {
-  const auto i = static_cast<std::size_t>(point);
-  const PlanarField none({1, 1}, {0, 0}, 1);
-  field.status.data()[i] = Status::kFailedVerification;
-  field.displacement_px.data()[i] = none.displacement_px(0, 0);
-  field.gradient.data()[i] = none.gradient(0, 0);
-  field.cov_displacement_px2.data()[i] = none.cov_displacement_px2(0, 0);
-  field.cov_gradient.data()[i] = none.cov_gradient(0, 0);
-}
-
-void FieldCorrelator::Impl::Verify(const GrayImage& image, const CorrelationImage& deformed,
-                                   const Propagation& propagation, CorrelatedField& result) const {
-  PlanarField& field = result.field;
-  CorrelatorOptions backward_options = options.correlator;
-  backward_options.max_sigma_px = 1;  // the forward match has been judged already
-  const SubsetCorrelator backward(deformed, backward_options);
-  std::vector<std::uint8_t> rejected(field.status.pixel_count(), 0);
-  tbb::parallel_for(std::size_t{0}, rejected.size(), [&](std::size_t i) {
-    if (field.status.data()[i] != Status::kOk) return;
-    const Eigen::Vector2i pixel = propagation.PixelOf(static_cast<std::int64_t>(i));
-    SubsetWarp warp;
-    warp.c = propagation.WarpOf(static_cast<std::int64_t>(i)).cast<double>();
-    warp.c.col(0) = field.displacement_px.data()[i];
-    if (LookAgain(raw, image, pixel, warp, options.correlator.radius_px() / 2) <
-        kSeenAgain * static_cast<double>(field.zncc.data()[i])) {
-      rejected[i] = 1;
-      return;
-    }
-    const Eigen::Vector2d there = pixel.cast<double>() + warp.displacement_px();
-    const Eigen::Vector2i from = there.array().round().cast<int>();
-    const SubsetWarp start = Inverse(warp).MovedTo((from - pixel).cast<double>());
-    const SubsetMatch back = backward.Match(reference, from, start);
-    // At the border of the image there may not be enough of the subset to come back with.
-    if (back.status == Status::kOutsideImage) return;
-    const Eigen::Vector2d home = from.cast<double>() + back.warp.Apply(there - from.cast<double>());
-    const double sigma = std::sqrt(WorstVariance(field.cov_displacement_px2.data()[i]));
-    const bool found =
-        back.status == Status::kOk &&
-        (home - pixel.cast<double>()).norm() <= options.verify_tolerance_px + kSigmas * sigma;
-    if (!found) rejected[i] = 1;
-  });
-  for (std::size_t i = 0; i < rejected.size(); ++i) {
-    if (rejected[i] == 0) continue;
-    Reject(static_cast<std::int64_t>(i), field);
-    ++result.counts.not_found_back;
-  }
-}
-
-void FieldCorrelator::Impl::JudgeParts(CorrelatedField& result) const {
-  const std::vector<internal::FieldPart> parts = internal::PartsOf(result.field);
-  const std::vector<std::size_t> isolated = internal::IsolatedParts(parts, result.field);
-  const auto reject = [&](const std::vector<std::size_t>& which, std::int64_t& count) {
-    for (const std::size_t part : which) {
-      for (const std::int64_t point : parts[part].points) {
-        if (result.field.status.data()[point] != Status::kOk) continue;
-        Reject(point, result.field);
-        ++count;
-      }
-    }
-  };
-  reject(isolated, result.counts.isolated);
-  if (!options.keep_still_parts) reject(internal::StillBackground(parts), result.counts.still);
 }
 
 CorrelatedField FieldCorrelator::Correlate(const GrayImage& deformed,
@@ -357,11 +242,12 @@ CorrelatedField FieldCorrelator::Correlate(const GrayImage& deformed,
   const CorrelationImage prepared(deformed, impl.options.image);
   CorrelatedField result = impl.Run(deformed, prepared, starts, false);
   // A jump of the specimen leaves nothing of a start from the frame before.
-  if (result.counts.ok * 2 < static_cast<std::int64_t>(starts.size())) {
-    return CorrelateFrom(deformed,
-                         FindSeeds(impl.raw, deformed, impl.MaskOrNull(), impl.options.seeds));
+  if (result.counts.ok * 2 >= static_cast<std::int64_t>(starts.size()) && result.counts.ok > 0) {
+    return result;
   }
-  return result;
+  CorrelatedField anew =
+      CorrelateFrom(deformed, FindSeeds(impl.raw, deformed, impl.MaskOrNull(), impl.options.seeds));
+  return anew.counts.ok > result.counts.ok ? anew : result;
 }
 
 CorrelatedField FieldCorrelator::CorrelateFrom(const GrayImage& deformed,

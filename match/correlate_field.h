@@ -27,7 +27,7 @@ struct FieldOptions {
   ImageSize grid;
 
   // What matched is looked for again from the deformed image, and must come back to where it
-  // started within this and 5 sigma.
+  // started within this and 5 sigma; so must the inner half of subsets that correlate badly.
   bool verify = true;
   double verify_tolerance_px = 0.15;
   // Parts of the view that stand still, cut off by a jump from others that move, are background.
@@ -44,7 +44,7 @@ struct FieldCounts {
   std::int64_t ok = 0;
   std::int64_t seeds = 0;           // that the correlation started from
   std::int64_t reseeded = 0;        // points that only a second search for seeds reached
-  std::int64_t not_found_back = 0;  // failed_verification: backward match elsewhere
+  std::int64_t not_found_back = 0;  // failed_verification: matched again, it lies elsewhere
   std::int64_t isolated = 0;        // failed_verification: a few points that contradict all others
   std::int64_t still = 0;           // failed_verification: background that stands still
   std::array<std::int64_t, 16> by_status{};  // by the number of the Status
@@ -61,7 +61,7 @@ struct CorrelatedField {
 // beside them (reliability-guided: Pan, "Reliability-guided digital image correlation for image
 // deformation measurement", Applied Optics 48(8), 2009), a batch at a time, so that the result does
 // not depend on the number of threads. Where points are left, seeds are looked for there once more.
-// Then every result is verified: by a backward match; by its neighbours.
+// Then every result is verified: by a backward match, by its inner half, by its neighbours.
 //
 // Statuses: those of SubsetCorrelator; masked; failed_verification as counted in FieldCounts;
 // not_converged for points that nothing led to.

@@ -26,7 +26,10 @@ bool MoveTogether(const PlanarField& field, std::int64_t a, std::int64_t b,
       (field.gradient.data()[a] + field.gradient.data()[b]).cast<double>() / 2;
   const Eigen::Vector2d jump =
       field.displacement_px.data()[b] - field.displacement_px.data()[a] - gradient * from_a_to_b_px;
-  return jump.norm() < kJumpPx + 5 * std::hypot(SigmaOf(field, a), SigmaOf(field, b));
+  // No more than as much again for the noise: what is neither here nor there has a large sigma, and
+  // would join what it lies between.
+  const double noise = 5 * std::hypot(SigmaOf(field, a), SigmaOf(field, b));
+  return jump.norm() < kJumpPx + std::min(noise, kJumpPx);
 }
 
 FieldPart PartFrom(const PlanarField& field, std::int64_t first, Image<std::uint8_t>& seen) {
