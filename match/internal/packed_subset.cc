@@ -86,8 +86,9 @@ int Pack(const ReferencePlanes& planes, const SubsetOutline& outline, int column
   const int most = (side + PackedSubset::kRun - 1) / PackedSubset::kRun * PackedSubset::kRun;
   const std::size_t values = static_cast<std::size_t>(side) * static_cast<std::size_t>(most);
   const bool masked = planes.mask != nullptr;
-  const bool whole = !masked && column >= radius && row >= radius && column + radius < size.width &&
-                     row + radius < size.height;
+  const int low = radius + planes.edge;
+  const bool whole = !masked && column >= low && row >= low && column + low < size.width &&
+                     row + low < size.height;
   int total = 0;
   if (whole && subset.whole_radius == radius && subset.whole_circle == outline.circle) {
     for (const PackedSubset::Row& r : subset.rows) total += r.count;
