@@ -78,7 +78,9 @@ struct PlanarSeriesHeader {
   // How it was correlated.
   std::string subset_shape = "square";  // or "circle"
   std::string interpolation = "quintic";
-  double prefilter_sigma_px = 0;  // of the Gaussian that both images were filtered by; 0: none
+  // What both images were filtered by: "low-pass", "gaussian" (of this sigma) or "none".
+  std::string prefilter = "none";
+  double prefilter_sigma_px = 0;  // of the Gaussian; 0 where there is none
   // What displacements count from, attribute `reference` of /displacement: "image" (the reference
   // image of the run), "frame N" (PlanarSeriesFrame::index) or "previous"; and that image's name.
   std::string reference = "image";

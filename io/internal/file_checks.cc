@@ -317,8 +317,8 @@ void CheckPlanarGroups(hid_t file, LayoutCheck* check) {
   check->Group("/camera");
   check->Try([&] { check->Attributes("/camera", {"noise_source", "bits"}); });
   check->Try([&] {
-    check->Attributes("/grid",
-                      {"points", "order", "interpolation", "prefilter_sigma_px", "subset_shape"});
+    check->Attributes("/grid", {"points", "order", "interpolation", "prefilter",
+                                "prefilter_sigma_px", "subset_shape"});
   });
   check->Try([&] { check->Attributes("/displacement", {"reference_id", "errors_calibration"}); });
   check->Try([&] { check->AttributeText("/displacement", "reference", IsPlanarReference); });

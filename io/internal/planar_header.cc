@@ -109,6 +109,7 @@ void ReadGrid(hid_t file, const GridFacts& grid, PlanarSeriesHeader* header) {
   header->order = Whole(group.get(), "order", 0, 2);
   header->subset_shape = hdf5::GetText(group.get(), "subset_shape");
   header->interpolation = hdf5::GetText(group.get(), "interpolation");
+  header->prefilter = hdf5::GetText(group.get(), "prefilter");
   header->prefilter_sigma_px = hdf5::GetNumber(group.get(), "prefilter_sigma_px", 0);
 }
 
@@ -135,6 +136,9 @@ void CheckPlanarHeader(const PlanarSeriesHeader& header) {
   Require(header.order >= 0 && header.order <= 2, "order is none of 0, 1, 2");
   Require(header.subset_shape == "square" || header.subset_shape == "circle",
           "subset_shape is neither square nor circle");
+  Require(header.prefilter == "low-pass" || header.prefilter == "gaussian" ||
+              header.prefilter == "none",
+          "prefilter is none of low-pass, gaussian, none");
   Require(header.prefilter_sigma_px >= 0 && std::isfinite(header.prefilter_sigma_px),
           "prefilter_sigma_px is negative or no number");
   Require(IsPlanarReference(header.reference), "reference is none of image, frame N, previous");
@@ -157,6 +161,7 @@ void WritePlanarHeader(const std::filesystem::path& path, const PlanarSeriesHead
   hdf5::SetInteger(grid.get(), "order", header.order);
   hdf5::SetText(grid.get(), "subset_shape", header.subset_shape);
   hdf5::SetText(grid.get(), "interpolation", header.interpolation);
+  hdf5::SetText(grid.get(), "prefilter", header.prefilter);
   hdf5::SetNumber(grid.get(), "prefilter_sigma_px", header.prefilter_sigma_px);
   WriteGroupAttributes(file.get(), header);
   file.Close("closing the file");

@@ -20,6 +20,7 @@ inline PlanarSeriesHeader PlanarHeader(ImageSize grid = {7, 5}) {
   header.order = 2;
   header.subset_shape = "circle";
   header.interpolation = "quintic";
+  header.prefilter = "gaussian";
   header.prefilter_sigma_px = 0.5;
   header.reference = "frame 10";
   header.reference_id = "first.png";

@@ -47,6 +47,7 @@ TEST(PlanarSeries, ReadsBackWhatWasWritten) {
   EXPECT_EQ(back.order, 2);
   EXPECT_EQ(back.subset_shape, "circle");
   EXPECT_EQ(back.interpolation, "quintic");
+  EXPECT_EQ(back.prefilter, "gaussian");
   EXPECT_EQ(back.prefilter_sigma_px, 0.5);
   EXPECT_EQ(back.reference, "frame 10");
   EXPECT_EQ(back.reference_id, "first.png");
@@ -191,6 +192,7 @@ TEST(PlanarSeries, RefusesHeadersThatMeanNothing) {
            {[](PlanarSeriesHeader& h) { h.step_px = 0; }, "step_px"},
            {[](PlanarSeriesHeader& h) { h.order = 3; }, "order"},
            {[](PlanarSeriesHeader& h) { h.subset_shape = "round"; }, "subset_shape"},
+           {[](PlanarSeriesHeader& h) { h.prefilter = "box"; }, "prefilter"},
            {[](PlanarSeriesHeader& h) { h.prefilter_sigma_px = NAN; }, "prefilter_sigma_px"},
            {[](PlanarSeriesHeader& h) { h.reference = "wheel"; }, "reference"},
            {[](PlanarSeriesHeader& h) { h.strain_measure = "log"; }, "strain_measure"},
