@@ -79,9 +79,9 @@ class FieldCorrelator {
   const FieldOptions& options() const;
   SubsetGrid grid() const;
 
-  // Throws InputError when the image is not of the reference's size. `prior`: a field of the same
-  // grid to start from, such as that of the frame before; points where it is not kOk are reached
-  // from their neighbours. Without one, seeds are looked for.
+  // Throws InputError when the image is not of the reference's size or prior of another grid.
+  // `prior`: a field of the same grid to start from, such as that of the frame before; points where
+  // it is not kOk are reached from their neighbours. Without one, seeds are looked for.
   CorrelatedField Correlate(const GrayImage& deformed, const PlanarField* prior = nullptr) const;
 
   // The same from seeds that the caller knows.

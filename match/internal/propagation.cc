@@ -15,14 +15,16 @@ constexpr std::size_t kBatch = 128;     // points whose neighbours are matched t
 }  // namespace
 
 Propagation::Propagation(const SubsetCorrelator& correlator, const CorrelationImage& deformed,
-                         PlanarField& field)
+                         PlanarField& field, const Image<Eigen::Vector2i>* pixels)
     : correlator_(correlator),
       deformed_(deformed),
       field_(field),
+      pixels_(pixels),
       warps_(field.size(), Warp::Zero()),
       tries_(field.size(), 0) {}
 
 Eigen::Vector2i Propagation::PixelOf(std::int64_t point) const {
+  if (pixels_ != nullptr) return pixels_->data()[point];
   const auto columns = static_cast<std::int64_t>(field_.size().width);
   return field_.first_px + field_.step_px * Eigen::Vector2i(static_cast<int>(point % columns),
                                                             static_cast<int>(point / columns));
@@ -94,8 +96,8 @@ void Propagation::Spread() {
           continue;
         }
         ++tries_(r, c);
-        starts.emplace_back(static_cast<std::int64_t>(r) * size.width + c,
-                            warp.MovedTo(field_.step_px * by.cast<double>()));
+        const std::int64_t to = static_cast<std::int64_t>(r) * size.width + c;
+        starts.emplace_back(to, warp.MovedTo((PixelOf(to) - PixelOf(from)).cast<double>()));
       }
     }
     Try(starts);

@@ -16,9 +16,10 @@ class Propagation {
  public:
   using Warp = Eigen::Matrix<float, 2, 6>;  // SubsetWarp::c; only ever a start
 
-  // All must outlive it. The field's points that are not to be tried are kMasked.
+  // All must outlive it. The field's points that are not to be tried are kMasked. pixels: where
+  // each point's subset is in the correlator's reference; null: on the field's grid.
   Propagation(const SubsetCorrelator& correlator, const CorrelationImage& deformed,
-              PlanarField& field);
+              PlanarField& field, const Image<Eigen::Vector2i>* pixels = nullptr);
 
   // A point of the field (row * columns + column) and the warp to start from.
   using Start = std::pair<std::int64_t, SubsetWarp>;
@@ -48,6 +49,7 @@ class Propagation {
   const SubsetCorrelator& correlator_;
   const CorrelationImage& deformed_;
   PlanarField& field_;
+  const Image<Eigen::Vector2i>* pixels_;
   Image<Warp> warps_;
   Image<std::uint8_t> tries_;
   std::priority_queue<Found> found_;
