@@ -25,6 +25,8 @@ struct ImageSourceOptions {
   // "a:b:c", as Python slices of positive step, or one number; empty: all. Negative ends count from
   // the declared end.
   std::string frames;
+  // Of all images of a sequence, such as that of the reference; empty: that of the first good one.
+  ImageSize expected_size;
   std::int64_t max_pixels = 200'000'000;  // an image larger than that is refused before decoding
   // A text table with one row a frame of the recording; its last column is the time, in the unit
   // that its heading ends in (ns, us, ms or s; without one: ns above 1e12, else s). Times are

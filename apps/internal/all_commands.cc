@@ -6,6 +6,8 @@ std::vector<std::unique_ptr<Command>> AllCommands() {
   std::vector<std::unique_ptr<Command>> commands;
   commands.push_back(MakeCalibrateCommand());
   commands.push_back(MakeMeasureCommand());
+  commands.push_back(MakeCorrelateCommand());
+  commands.push_back(MakeAnalyseCommand());
   commands.push_back(MakeDisparityCommand());
   commands.push_back(MakeNoiseCommand());
   commands.push_back(MakeSpeckleCommand());

@@ -46,6 +46,8 @@ class Command {
 
 std::unique_ptr<Command> MakeCalibrateCommand();
 std::unique_ptr<Command> MakeMeasureCommand();
+std::unique_ptr<Command> MakeCorrelateCommand();
+std::unique_ptr<Command> MakeAnalyseCommand();
 std::unique_ptr<Command> MakeDisparityCommand();
 std::unique_ptr<Command> MakeNoiseCommand();
 std::unique_ptr<Command> MakeSpeckleCommand();

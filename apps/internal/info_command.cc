@@ -4,6 +4,7 @@
 #include <cmath>
 
 #include "apps/internal/command.h"
+#include "apps/internal/planar_report.h"
 #include "apps/internal/result_file.h"
 
 namespace plumbline::internal {
@@ -100,6 +101,7 @@ class InfoCommand : public Command {
     report.json["subset_px"] = header.subset_px;
     report.json["order"] = header.order;
     report.json["interpolation"] = header.interpolation;
+    report.json["prefilter"] = header.prefilter;
     report.json["prefilter_sigma_px"] = header.prefilter_sigma_px;
     report.json["reference"] = header.reference;
     report.json["reference_id"] = header.reference_id;
@@ -107,14 +109,20 @@ class InfoCommand : public Command {
     report.json["camera"] = {
         {"size", {header.camera.image_size.width, header.camera.image_size.height}},
         {"bits", header.camera.bits},
-        {"noise_offset_grey2", header.camera.noise.offset_grey2},
-        {"noise_slope_grey", header.camera.noise.slope_grey},
+        {"noise_offset_grey2", FiniteJson(header.camera.noise.offset_grey2)},
+        {"noise_slope_grey", FiniteJson(header.camera.noise.slope_grey)},
         {"noise_source", header.camera.noise_source}};
+    const std::string noise =
+        std::isfinite(header.camera.noise.offset_grey2)
+            ? fmt::format(" variance {:.3g} + {:.3g} g at grey level g",
+                          header.camera.noise.offset_grey2, header.camera.noise.slope_grey)
+            : "";
     report.text += fmt::format(
-        "  camera: {}x{} px, {} bits; noise variance {:.3g} + {:.3g} g at grey level g{}\n",
-        header.camera.image_size.width, header.camera.image_size.height, header.camera.bits,
-        header.camera.noise.offset_grey2, header.camera.noise.slope_grey,
-        header.camera.noise_source.empty() ? "" : ", from " + header.camera.noise_source);
+        "  camera: {}x{} px, {} bits; noise{}{}\n", header.camera.image_size.width,
+        header.camera.image_size.height, header.camera.bits, noise,
+        header.camera.noise_source.empty()
+            ? ""
+            : fmt::format("{}from {}", noise.empty() ? " " : ", ", header.camera.noise_source));
     if (header.contents.strain) {
       report.json["strain_measure"] = header.strain_measure;
       report.json["vsg_px"] = header.vsg_px;

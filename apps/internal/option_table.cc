@@ -21,6 +21,9 @@ constexpr bool kIsOptional = false;
 template <typename T>
 constexpr bool kIsOptional<std::optional<T>> = true;
 
+template <typename T>
+constexpr bool kIsList = std::is_same_v<T, std::vector<std::string>>;
+
 // Shortest text that reads back as the same number.
 std::string NumberText(double value) { return fmt::format("{}", value); }
 
@@ -32,6 +35,8 @@ std::string ValueText(const OptionTarget& target) {
           return *value ? "true" : "false";
         } else if constexpr (std::is_same_v<T, std::string>) {
           return *value;
+        } else if constexpr (kIsList<T>) {
+          return fmt::format("{}", fmt::join(*value, " "));
         } else if constexpr (kIsOptional<T>) {
           return value->has_value() ? NumberText(static_cast<double>(**value)) : "auto";
         } else if constexpr (std::is_same_v<T, double>) {
@@ -87,7 +92,9 @@ struct Assign {
   const OptionSpec& spec;
   const std::string& origin;
   const std::string& text;
+  const std::vector<std::string>& list;
 
+  void operator()(std::vector<std::string>* target) const { *target = list; }
   void operator()(bool* target) const {
     if (text != "true" && text != "false") {
       throw UsageError(fmt::format("{} takes true or false, not '{}'.", origin, text));
@@ -123,6 +130,19 @@ std::string TomlText(const toml::node& node, const std::string& where) {
   if (const auto* v = node.as_floating_point()) return NumberText(v->get());
   if (const auto* v = node.as_boolean()) return v->get() ? "true" : "false";
   throw UsageError(where + " must be one text, number, true or false.");
+}
+
+// A text, or an array of them.
+std::vector<std::string> TomlList(const toml::node& node, const std::string& where) {
+  const toml::array* const array = node.as_array();
+  if (array == nullptr) return {TomlText(node, where)};
+  std::vector<std::string> list;
+  for (const toml::node& item : *array) list.push_back(TomlText(item, where));
+  return list;
+}
+
+bool IsList(const OptionTarget& target) {
+  return std::holds_alternative<std::vector<std::string>*>(target);
 }
 
 std::string Quoted(const std::string& text) {
@@ -179,7 +199,11 @@ void OptionTable::Add(const OptionSpec& spec, OptionTarget target) {
     }
     entry.option->option_text(text.empty() ? " " : text);
   }
-  entry.option->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
+  if (IsList(target)) {
+    entry.option->expected(1, 1 << 24);
+  } else {
+    entry.option->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
+  }
   entries_.push_back(std::move(entry));
 }
 
@@ -225,7 +249,12 @@ void OptionTable::ReadRecipe(const std::filesystem::path& recipe) {
                                    nearest.empty() ? "." : "; do you mean " + nearest + "?"));
     }
     if (entry->option->count() > 0) continue;  // the command line wins
-    entry->text = TomlText(node, where);
+    if (IsList(entry->target)) {
+      entry->list = TomlList(node, where);
+      entry->text = entry->list.empty() ? "" : entry->list.front();
+    } else {
+      entry->text = TomlText(node, where);
+    }
     entry->origin = where;
   }
 }
@@ -236,6 +265,7 @@ void OptionTable::Finish() {
       const std::string name = entry.spec.positional ? entry.spec.name : "--" + entry.spec.name;
       const bool flag = std::holds_alternative<bool*>(entry.target);
       entry.text = flag ? "true" : entry.option->results().back();
+      if (IsList(entry.target)) entry.list = entry.option->results();
       entry.origin = name;
     }
     const bool missing = !entry.text && ValueText(entry.target).empty();
@@ -244,7 +274,8 @@ void OptionTable::Finish() {
                                    entry.spec.positional ? entry.spec.name : "--" + entry.spec.name,
                                    entry.spec.help, command_));
     }
-    if (entry.text) std::visit(Assign{entry.spec, entry.origin, *entry.text}, entry.target);
+    if (entry.text)
+      std::visit(Assign{entry.spec, entry.origin, *entry.text, entry.list}, entry.target);
   }
 }
 
@@ -252,6 +283,14 @@ std::string OptionTable::Recipe() const {
   std::string recipe = fmt::format("[{}]\n", command_);
   for (const Entry& entry : entries_) {
     if (!entry.spec.in_recipe) continue;
+    if (IsList(entry.target)) {
+      std::vector<std::string> quoted;
+      for (const std::string& item : *std::get<std::vector<std::string>*>(entry.target)) {
+        quoted.push_back(Quoted(item));
+      }
+      recipe += fmt::format("{} = [{}]\n", entry.spec.name, fmt::join(quoted, ", "));
+      continue;
+    }
     const std::string text = ValueText(entry.target);
     auto* const* seed = std::get_if<std::uint64_t*>(&entry.target);
     const bool too_large = seed != nullptr && **seed > std::numeric_limits<std::int64_t>::max();

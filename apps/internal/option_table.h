@@ -30,9 +30,11 @@ struct OptionSpec {
   bool in_recipe = true;
 };
 
-// Where the value goes. An optional without a value is `auto`: found by the program.
-using OptionTarget = std::variant<bool*, int*, std::uint64_t*, double*, std::string*,
-                                  std::optional<int>*, std::optional<double>*>;
+// Where the value goes. An optional without a value is `auto`: found by the program. A list takes
+// one word or several (as the shell makes of a pattern), in a recipe a text or an array of them.
+using OptionTarget =
+    std::variant<bool*, int*, std::uint64_t*, double*, std::string*, std::optional<int>*,
+                 std::optional<double>*, std::vector<std::string>*>;
 
 // The options of one command: declared once, they are read from the command line, else from a
 // recipe, else keep the default that the target holds; and they write the full recipe.
@@ -69,7 +71,8 @@ class OptionTable {
     OptionTarget target;
     CLI::Option* option = nullptr;
     std::string default_text;
-    std::optional<std::string> text;  // as given
+    std::optional<std::string> text;  // as given; of a list the first
+    std::vector<std::string> list;    // as given
     std::string origin;               // "--step", or "step in r.toml"
   };
 

@@ -17,6 +17,10 @@ FileSequence::FileSequence(std::vector<fs::path> files, const ImageSourceOptions
   const auto count = static_cast<std::int64_t>(files_.size());
   selection_ = ParseFrames(options.frames, count);
   next_ = selection_.first;
+  if (options.expected_size != ImageSize{}) {
+    first_id_ = "the reference";
+    first_size_ = options.expected_size;
+  }
   if (options.timestamps_csv.empty()) return;
   times_ = ReadTimestamps(options.timestamps_csv);
   if (static_cast<std::int64_t>(times_.size()) != count) {
@@ -84,8 +88,9 @@ std::string FileSequence::OtherSize(const SequenceImage& image) {
     first_size_ = size;
   }
   if (size == first_size_) return "";
-  return fmt::format("{} is {}x{} px and {} {}x{} px: images of one camera have one size", image.id,
-                     size.width, size.height, first_id_, first_size_.width, first_size_.height);
+  return fmt::format("{} is {}x{} px and {} is {}x{} px: images of one camera have one size",
+                     image.id, size.width, size.height, first_id_, first_size_.width,
+                     first_size_.height);
 }
 
 void FileSequence::Remember(const DecodedImage& decoded, const std::string& name) {

@@ -1,0 +1,167 @@
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <filesystem>
+
+#include "apps/internal/command.h"
+#include "apps/internal/planar_options.h"
+#include "apps/internal/planar_report.h"
+#include "apps/internal/result_file.h"
+#include "apps/interrupt.h"
+#include "calib/error.h"
+#include "io/planar_series_writer.h"
+
+namespace plumbline::internal {
+namespace {
+
+namespace fs = std::filesystem;
+
+// The recipe of the run with that of this command behind it, in place of an earlier one.
+std::string JoinRecipes(const std::string& run, const std::string& own) {
+  const std::string heading = "[analyse]\n";
+  const std::size_t earlier = run.rfind("\n" + heading);
+  std::string joined = run.substr(0, earlier == std::string::npos ? run.size() : earlier + 1);
+  if (!joined.empty() && joined.back() != '\n') joined += '\n';
+  return joined + own;
+}
+
+class AnalyseCommand : public Command {
+ public:
+  std::string Name() const override { return "analyse"; }
+  std::string Summary() const override {
+    return "Work out the strain of a run again, with other settings, without correlating again.";
+  }
+  std::string Footer() const override {
+    return "Example:\n"
+           "  plumbline analyse field.h5 -o strain.h5 --strain-window 15 --strain-measure hencky";
+  }
+  void Declare(OptionTable& options) override;
+  CommandReport Run(const CommonOptions& common, const std::string& recipe_toml) override;
+
+ private:
+  struct Row {
+    std::int64_t index = 0;
+    std::string id, problem;
+    PlanarSummary summary;
+  };
+  CommandReport Report(const fs::path& output, const PlanarSeriesHeader& header,
+                       const std::string& note, const std::vector<Row>& rows,
+                       bool interrupted) const;
+
+  std::string file_, output_;
+  bool overwrite_ = false;
+  StrainOptionSet strain_{9};
+};
+
+void AnalyseCommand::Declare(OptionTable& options) {
+  options.Add(
+      {.name = "FILE", .help = "a run of one camera (.h5)", .required = true, .positional = true},
+      &file_);
+  options.Add({.name = "output",
+               .help = "where the result goes: the same frames and displacements, strain anew",
+               .unit = "FILE",
+               .short_name = "o",
+               .required = true},
+              &output_);
+  options.Add({.name = "overwrite", .help = "replace the output file if it is there"}, &overwrite_);
+  strain_.Declare(options);
+}
+
+CommandReport AnalyseCommand::Report(const fs::path& output, const PlanarSeriesHeader& header,
+                                     const std::string& note, const std::vector<Row>& rows,
+                                     bool interrupted) const {
+  constexpr std::size_t kMostFrames = 6;
+  CommandReport report;
+  report.text = GaugeText(header);
+  report.json = {{"output", output.string()},
+                 {"strain_measure", header.strain_measure},
+                 {"strain_window", header.window_points},
+                 {"vsg_px", header.vsg_px},
+                 {"interrupted", interrupted},
+                 {"notes", nlohmann::json::array()},
+                 {"frames", nlohmann::json::array()}};
+  for (std::size_t i = 0; i < rows.size(); ++i) {
+    const Row& row = rows[i];
+    report.json["frames"].push_back({{"index", row.index},
+                                     {"image", row.id},
+                                     {"problem", row.problem},
+                                     {"strain", StrainJson(row.summary)}});
+    if (i == kMostFrames) {
+      report.text += fmt::format("... {} more frames ...\n", rows.size() - kMostFrames);
+    }
+    if (i >= kMostFrames) continue;
+    report.text += fmt::format("Frame {} ({}):{}\n", row.index, row.id,
+                               row.problem.empty() ? "" : " bad. " + row.problem);
+    if (row.problem.empty()) report.text += StrainText(row.summary, header);
+  }
+  if (!note.empty()) {
+    report.json["notes"].push_back(note);
+    report.text += "Note: " + note + "\n";
+  }
+  if (interrupted) {
+    report.text += "Stopped by Ctrl-C: only the frames up to here are in the file.\n";
+    report.exit_code = 130;
+  }
+  report.text += fmt::format("Wrote {}.\n", output.string());
+  return report;
+}
+
+CommandReport AnalyseCommand::Run(const CommonOptions& common, const std::string& recipe_toml) {
+  const PlanarStrainOptions options = strain_.Options();
+  const ResultFile file = OpenResultFile(file_);
+  if (!file.planar) {
+    throw InputError(fmt::format(
+        "'{}' is {}; analyse works on runs of one camera, as plumbline correlate writes them, "
+        "since those of a rig have no displacements yet.",
+        file_, file.series ? "a run of a stereo rig" : "a rig file"));
+  }
+  const PlanarSeriesReader& series = *file.planar;
+  if (options.window_points == 1 &&
+      (series.header().order < 1 || !series.header().contents.gradient_covariance)) {
+    throw InputError(fmt::format(
+        "A strain window of 1 point needs the covariances of the subsets' gradients, which '{}' "
+        "does not hold; correlate with --gradient-covariance (and --order 1 or 2), or take a "
+        "window of 3 points or more.",
+        file_));
+  }
+  const fs::path output = CheckedOutput(output_, overwrite_);
+  if (fs::exists(output) && fs::equivalent(output, file_)) {
+    throw InputError("The result cannot take the place of the run that it is made from.");
+  }
+  const SeriesNeighbours neighbours = NeighboursOf(series.header(), series.facts().inputs_json);
+  PlanarSeriesHeader header = series.header();
+  header.contents.strain = true;
+  header.strain_measure = plumbline::Name(options.measure);
+  header.window_points = options.window_points;
+  header.vsg_px = (options.window_points - 1) * header.step_px + header.subset_px;
+  header.recipe_toml = JoinRecipes(header.recipe_toml, recipe_toml);
+  header.inputs = {fs::path(file_)};
+  header.inputs.insert(header.inputs.end(), neighbours.files.begin(), neighbours.files.end());
+
+  const InterruptGuard guard;
+  PlanarSeriesWriter writer(output, header);
+  Progress progress("strain", series.frame_count(), common.progress());
+  std::vector<Row> rows;
+  for (std::int64_t i = 0; i < series.frame_count() && !InterruptGuard::Requested(); ++i) {
+    PlanarSeriesFrame frame = series.Frame(i);
+    if (frame.problem.empty()) {
+      frame.strain = RecordOf(ComputePlanarStrain(frame.field, neighbours.correlation, options));
+    }
+    writer.Commit(frame);
+    rows.push_back({frame.index, frame.id, frame.problem, Summarise(frame)});
+    progress.Advance();
+  }
+  if (rows.empty()) {
+    spdlog::error("There are no frames to analyse; nothing was written.");
+    return {"", {{"frames", nlohmann::json::array()}}, 3};
+  }
+  const bool interrupted = static_cast<std::int64_t>(rows.size()) < series.frame_count();
+  writer.Close();
+  return Report(output, header, neighbours.note, rows, interrupted);
+}
+
+}  // namespace
+
+std::unique_ptr<Command> MakeAnalyseCommand() { return std::make_unique<AnalyseCommand>(); }
+
+}  // namespace plumbline::internal

@@ -1,0 +1,292 @@
+#include <fmt/format.h>
+#include <spdlog/spdlog.h>
+
+#include <charconv>
+#include <filesystem>
+
+#include "apps/internal/command.h"
+#include "apps/internal/planar_options.h"
+#include "apps/internal/planar_report.h"
+#include "apps/interrupt.h"
+#include "calib/error.h"
+#include "io/planar_series_writer.h"
+
+namespace plumbline::internal {
+namespace {
+
+namespace fs = std::filesystem;
+
+class CorrelateCommand : public Command {
+ public:
+  std::string Name() const override { return "correlate"; }
+  std::string Summary() const override {
+    return "Displacement and strain from the images of one camera (2D-DIC), with error bars.";
+  }
+  std::string Footer() const override {
+    return "Example:\n"
+           "  plumbline correlate --reference test/img_0000.png --deformed 'test/img_*.png' -o "
+           "field.h5\n"
+           "Other strain windows need no second correlation: plumbline analyse field.h5 -o "
+           "strain.h5 --strain-window 15";
+  }
+  void Declare(OptionTable& options) override;
+  CommandReport Run(const CommonOptions& common, const std::string& recipe_toml) override;
+
+ private:
+  void DeclareImages(OptionTable& options);
+  void DeclareMatching(OptionTable& options);
+  void DeclareSequence(OptionTable& options);
+  PlanarRunOptions Options(std::uint64_t seed) const;
+  void SetReferenceMode(SequenceOptions& sequence) const;
+  void CorrelateAll(PlanarRun& run, ImageSequence& images, PlanarSeriesWriter& writer,
+                    ProgressStyle style, PlanarReport& report) const;
+
+  std::string reference_, output_ = "field.h5";
+  std::vector<std::string> deformed_;
+  std::string frames_, roi_, mask_, timestamps_;
+  std::optional<double> frames_per_second_;
+  bool overwrite_ = false;
+  FieldOptions field_;
+  std::string shape_ = "square", interpolation_ = "quintic", prefilter_ = "low-pass";
+  bool no_verify_ = false;
+  SequenceOptions sequence_;
+  std::string reference_mode_ = "fixed";
+  bool no_strain_ = false, gradient_covariance_ = false;
+  StrainOptionSet strain_{9};
+};
+
+void CorrelateCommand::Declare(OptionTable& options) {
+  DeclareImages(options);
+  DeclareMatching(options);
+  DeclareSequence(options);
+  options.Add({.name = "no-strain", .help = "leave the strain out"}, &no_strain_);
+  strain_.Declare(options);
+  options.Add({.name = "gradient-covariance",
+               .help = "also store the 4x4 covariance of each subset's gradient"},
+              &gradient_covariance_);
+}
+
+void CorrelateCommand::DeclareImages(OptionTable& options) {
+  options.Add({.name = "reference",
+               .help = "image of the state that displacements count from; of a video or a folder "
+                       "its first",
+               .unit = "FILE",
+               .required = true},
+              &reference_);
+  options.Add({.name = "deformed",
+               .help = "images to correlate with it, in order: files, a pattern in quotes, a "
+                       "folder or a video",
+               .unit = "FILES",
+               .required = true},
+              &deformed_);
+  options.Add(
+      {.name = "output", .help = "where the result goes", .unit = "FILE", .short_name = "o"},
+      &output_);
+  options.Add({.name = "overwrite", .help = "replace the output file if it is there"}, &overwrite_);
+  options.Add({.name = "frames",
+               .help = "which deformed images, as start:stop:step counted from 0; empty: all",
+               .unit = "A:B:C"},
+              &frames_);
+  options.Add({.name = "fps",
+               .help = "frames a second, for images without a clock of their own",
+               .unit = "1/s",
+               .min = 1e-6},
+              &frames_per_second_);
+  options.Add({.name = "timestamps",
+               .help = "a text table with the time of each deformed image in its last column",
+               .unit = "FILE"},
+              &timestamps_);
+  options.Add({.name = "roi",
+               .help = "region of the reference to measure; empty: all of it",
+               .unit = "X,Y,W,H px"},
+              &roi_);
+  options.Add({.name = "mask",
+               .help = "image of the reference's size: 0 is left out, all else (1 or 255) measured",
+               .unit = "FILE"},
+              &mask_);
+}
+
+void CorrelateCommand::DeclareMatching(OptionTable& options) {
+  CorrelatorOptions& o = field_.correlator;
+  options.Add({.name = "subset",
+               .help = "side (diameter) of the subsets, odd; three speckles or more across",
+               .unit = "px",
+               .min = 5,
+               .max = 255},
+              &o.subset_px);
+  options.Add({.name = "step",
+               .help = "distance between points in the reference",
+               .unit = "px",
+               .min = 1,
+               .max = 10000},
+              &field_.step_px);
+  options.Add({.name = "order",
+               .help = "of the shape function: 0 shift, 1 affine, 2 quadratic",
+               .min = 0,
+               .max = 2},
+              &o.order);
+  options.Add({.name = "shape", .help = "of the subsets", .choices = {"square", "circle"}},
+              &shape_);
+  options.Add({.name = "interpolation",
+               .help = "spline through the grey levels",
+               .choices = {"quintic", "cubic"}},
+              &interpolation_);
+  options.Add(
+      {.name = "prefilter",
+       .help = "filter before correlation: low-pass, none, or the sigma of a Gaussian in px",
+       .unit = "NAME|SIGMA"},
+      &prefilter_);
+  options.Add({.name = "min-zncc",
+               .help = "correlation (ZNCC) below which a point is dropped",
+               .min = 0,
+               .max = 1},
+              &o.min_zncc);
+  options.Add({.name = "max-sigma",
+               .help = "sigma of the displacement above which a point has too little texture",
+               .unit = "px",
+               .min = 1e-6},
+              &o.max_sigma_px);
+  options.Add({.name = "max-iterations", .help = "of a subset", .min = 1, .max = 255},
+              &o.max_iterations);
+  options.Add({.name = "no-verify",
+               .help = "do not check points by a match backwards, nor against their neighbours"},
+              &no_verify_);
+  options.Add({.name = "keep-still-parts",
+               .help = "keep parts of the view that stand still beside others that move, which "
+                       "count as background"},
+              &field_.keep_still_parts);
+}
+
+void CorrelateCommand::DeclareSequence(OptionTable& options) {
+  options.Add({.name = "reference-mode",
+               .help = "what each image is correlated with: fixed, the reference; every, an image "
+                       "of the sequence, taken anew every so many (--update-every); auto, taken "
+                       "anew when fewer points are found or correlate less. Displacements always "
+                       "count from the reference",
+               .choices = {"fixed", "every", "auto"}},
+              &reference_mode_);
+  options.Add(
+      {.name = "update-every",
+       .help = "images after which the reference is taken anew, with --reference-mode every",
+       .min = 1,
+       .max = 1e9},
+      &sequence_.update_every);
+}
+
+void CorrelateCommand::SetReferenceMode(SequenceOptions& sequence) const {
+  sequence.reference = reference_mode_ == "every"  ? ReferenceMode::kEvery
+                       : reference_mode_ == "auto" ? ReferenceMode::kAuto
+                                                   : ReferenceMode::kFixed;
+}
+
+PlanarRunOptions CorrelateCommand::Options(std::uint64_t seed) const {
+  PlanarRunOptions options;
+  options.sequence = sequence_;
+  SetReferenceMode(options.sequence);
+  FieldOptions& field = options.sequence.field;
+  field = field_;
+  field.correlator.shape = shape_ == "circle" ? SubsetShape::kCircle : SubsetShape::kSquare;
+  field.image.interpolation =
+      interpolation_ == "cubic" ? Interpolation::kCubic : Interpolation::kQuintic;
+  if (prefilter_ == "low-pass") {
+    field.image.prefilter = Prefilter::kLowPass;
+  } else if (prefilter_ == "none") {
+    field.image.prefilter = Prefilter::kNone;
+  } else {
+    const char* const end = prefilter_.data() + prefilter_.size();
+    double& sigma = field.image.gaussian_sigma_px;
+    const auto [at, error] = std::from_chars(prefilter_.data(), end, sigma);
+    if (error != std::errc() || at != end || !(sigma > 0 && sigma <= 10)) {
+      throw UsageError(fmt::format(
+          "--prefilter takes low-pass, none, or the sigma of a Gaussian in px (up to 10), not "
+          "'{}'.",
+          prefilter_));
+    }
+    field.image.prefilter = Prefilter::kGaussian;
+  }
+  field.verify = !no_verify_;
+  field.seeds.features.random_seed = seed;
+  if (!roi_.empty()) options.roi = PixelRegion::Parse(roi_);
+  if (!mask_.empty()) options.mask = ReadMask(mask_);
+  options.strain = !no_strain_;
+  options.strain_options = strain_.Options();
+  options.gradient_covariance = gradient_covariance_;
+  options.Check();
+  return options;
+}
+
+void CorrelateCommand::CorrelateAll(PlanarRun& run, ImageSequence& images,
+                                    PlanarSeriesWriter& writer, ProgressStyle style,
+                                    PlanarReport& report) const {
+  Progress progress("correlating", images.DeclaredCount(), style);
+  while (!InterruptGuard::Requested()) {
+    const std::optional<SequenceImage> image = images.Next();
+    if (!image) return;
+    const CorrelatedFrame frame = run.Correlate(*image);
+    writer.Commit(frame.frame);
+    if (!frame.frame.problem.empty()) {
+      progress.Note(
+          fmt::format("Frame {} is marked as bad: {}", frame.frame.index, frame.frame.problem));
+    }
+    report.Add(frame);
+    progress.Advance();
+  }
+  report.SetInterrupted();
+}
+
+// The first image of what --reference names.
+SequenceImage ReadReference(const std::string& reference, std::vector<fs::path>* files) {
+  ImageSourceOptions first;
+  first.frames = "0:1";
+  const auto images = OpenImageSequence(reference, first);
+  std::optional<SequenceImage> image = images->Next();
+  if (!image) throw InputError(fmt::format("'{}' holds no image.", reference));
+  if (!image->problem.empty()) throw InputError(image->problem);
+  *files = images->Files();
+  return std::move(*image);
+}
+
+CommandReport CorrelateCommand::Run(const CommonOptions& common, const std::string& recipe_toml) {
+  const fs::path output = CheckedOutput(output_, overwrite_);
+  std::vector<fs::path> inputs;
+  const SequenceImage reference = ReadReference(reference_, &inputs);
+  ImageSourceOptions source;
+  source.frames = frames_;
+  source.frames_per_second = frames_per_second_;
+  source.timestamps_csv = timestamps_;
+  source.expected_size = reference.image.size();
+  const auto images = OpenImageSequence(deformed_, source);
+  const PlanarRunOptions options = Options(common.seed);
+  PlanarRun run(reference.image, options);
+
+  PlanarSeriesHeader header = run.Header();
+  header.reference_id = reference.id;
+  header.recipe_toml = recipe_toml;
+  header.inputs = inputs;
+  for (const fs::path& file : images->Files()) header.inputs.push_back(file);
+  for (const std::string& file : {mask_, timestamps_}) {
+    if (!file.empty()) header.inputs.emplace_back(file);
+  }
+
+  const InterruptGuard guard;
+  PlanarReport report(output, images->DeclaredCount(), header, options.sequence.reference);
+  PlanarSeriesWriter writer(output, header);
+  CorrelateAll(run, *images, writer, common.progress(), report);
+  if (report.frames() == 0) {
+    spdlog::error(report.interrupted() ? "Stopped before the first frame was finished; nothing was "
+                                         "written."
+                                       : "There are no images to correlate; nothing was written.");
+    return {"", {{"interrupted", report.interrupted()}}, report.interrupted() ? 130 : 3};
+  }
+  writer.Close();
+  if (const std::string complaint = report.Complaint(); !complaint.empty()) {
+    spdlog::error(complaint);
+  }
+  return report.Make(images->Notes());
+}
+
+}  // namespace
+
+std::unique_ptr<Command> MakeCorrelateCommand() { return std::make_unique<CorrelateCommand>(); }
+
+}  // namespace plumbline::internal

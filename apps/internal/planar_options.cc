@@ -1,0 +1,62 @@
+#include "apps/internal/planar_options.h"
+
+#include <fmt/format.h>
+
+#include "calib/error.h"
+
+namespace plumbline::internal {
+
+namespace fs = std::filesystem;
+
+void StrainOptionSet::Declare(OptionTable& options) {
+  options.Add({.name = "strain-window",
+               .help = "side of the virtual strain gauge, odd; its size in px (VSG) is "
+                       "(window - 1) * step + subset; 1: the subset's own gradient",
+               .unit = "points",
+               .min = 1,
+               .max = 255},
+              &options_.window_points);
+  options.Add({.name = "strain-measure",
+               .help = "which strain; all but small hold for any rotation",
+               .choices = {"green_lagrange", "small", "hencky", "almansi"}},
+              &measure_);
+  options.Add({.name = "strain-order",
+               .help = "order of the polynomial fitted to the gauge's displacements",
+               .min = 1,
+               .max = 2},
+              &options_.order);
+  options.Add({.name = "strain-weights",
+               .help = "weights of the gauge's points",
+               .choices = {"equal", "inverse-variance"}},
+              &weights_);
+  options.Add({.name = "strain-min-share",
+               .help = "share of the gauge's points that have to be there",
+               .min = 0.01,
+               .max = 1},
+              &options_.min_share);
+}
+
+PlanarStrainOptions StrainOptionSet::Options() const {
+  PlanarStrainOptions options = options_;
+  for (std::size_t i = 0; i < kStrainMeasureNames.size(); ++i) {
+    if (measure_ == kStrainMeasureNames[i]) options.measure = static_cast<StrainMeasure>(i);
+  }
+  options.weights = weights_ == "equal" ? GaugeWeights::kEqual : GaugeWeights::kInverseVariance;
+  options.Check();
+  return options;
+}
+
+fs::path CheckedOutput(const std::string& output, bool overwrite) {
+  const fs::path path = fs::absolute(output);
+  if (fs::exists(path) && !overwrite) {
+    throw InputError(fmt::format(
+        "'{}' is there already; choose another name with -o, or say --overwrite.", output));
+  }
+  if (!fs::is_directory(path.parent_path())) {
+    throw EnvironmentError(fmt::format("There is no folder '{}' to write into; make it first.",
+                                       path.parent_path().string()));
+  }
+  return path;
+}
+
+}  // namespace plumbline::internal

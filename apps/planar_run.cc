@@ -1,0 +1,281 @@
+#include "apps/planar_run.h"
+
+#include <fmt/format.h>
+#include <toml++/toml.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <filesystem>
+#include <limits>
+#include <nlohmann/json.hpp>
+
+#include "calib/error.h"
+#include "calib/median.h"
+#include "io/file_hash.h"
+#include "io/image_source.h"
+
+namespace plumbline {
+namespace {
+
+namespace fs = std::filesystem;
+
+constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+
+double MedianOrNone(std::vector<double> values) {
+  return values.empty() ? kNone : Median(std::move(values));
+}
+
+// The points whose subset fits into the region.
+void PlaceGrid(const PixelRegion& region, ImageSize image, FieldOptions& field) {
+  region.CheckInside(image);
+  const int radius = field.correlator.radius_px();
+  const int width = std::min(region.width, image.width - region.x);
+  const int height = std::min(region.height, image.height - region.y);
+  const int subset = field.correlator.subset_px;
+  if (width < subset || height < subset) {
+    throw InputError(fmt::format(
+        "The region holds {}x{} px of the image, which is less than one subset of {} px; take a "
+        "larger region or a smaller --subset.",
+        width, height, subset));
+  }
+  field.first_px = {region.x + radius, region.y + radius};
+  field.grid = {(width - subset) / field.step_px + 1, (height - subset) / field.step_px + 1};
+}
+
+const char* PrefilterName(Prefilter filter) {
+  return filter == Prefilter::kLowPass ? "low-pass"
+         : filter == Prefilter::kNone  ? "none"
+                                       : "gaussian";
+}
+
+}  // namespace
+
+void PlanarRunOptions::Check() const {
+  sequence.Check();
+  strain_options.Check();
+  if (strain && strain_options.window_points == 1 && sequence.field.correlator.order < 1) {
+    throw UsageError(
+        "A strain window of 1 point takes the gradient of the subset, and a shape function of "
+        "order 0 has none; take a window of 3 points or more.");
+  }
+}
+
+PlanarSummary Summarise(const PlanarSeriesFrame& frame) {
+  PlanarSummary summary;
+  std::vector<double> u, v, sigma, zncc;
+  const PlanarField& field = frame.field;
+  for (std::size_t i = 0; i < field.status.pixel_count(); ++i) {
+    if (field.status.data()[i] != Status::kOk) continue;
+    u.push_back(field.displacement_px.data()[i].x());
+    v.push_back(field.displacement_px.data()[i].y());
+    const Eigen::Vector3f& cov = field.cov_displacement_px2.data()[i];
+    sigma.push_back(std::sqrt((cov[0] + cov[2]) / 2));
+    zncc.push_back(field.zncc.data()[i]);
+  }
+  summary.least_px = summary.most_px = Eigen::Vector2d::Constant(kNone);
+  if (!u.empty()) {
+    summary.least_px = {*std::min_element(u.begin(), u.end()),
+                        *std::min_element(v.begin(), v.end())};
+    summary.most_px = {*std::max_element(u.begin(), u.end()),
+                       *std::max_element(v.begin(), v.end())};
+  }
+  summary.median_px = {MedianOrNone(std::move(u)), MedianOrNone(std::move(v))};
+  summary.median_sigma_px = MedianOrNone(std::move(sigma));
+  summary.median_zncc = MedianOrNone(std::move(zncc));
+  constexpr int kDiagonal[3] = {0, 3, 5};
+  for (int k = 0; k < 3; ++k) {
+    std::vector<double> value, error;
+    for (std::size_t i = 0; i < frame.strain.status.pixel_count(); ++i) {
+      if (frame.strain.status.data()[i] != Status::kOk) continue;
+      value.push_back(frame.strain.strain.data()[i][k]);
+      error.push_back(std::sqrt(frame.strain.covariance.data()[i][kDiagonal[k]]));
+    }
+    summary.strain_points = static_cast<std::int64_t>(value.size());
+    summary.median_strain[k] = MedianOrNone(std::move(value));
+    summary.median_sigma_strain[k] = MedianOrNone(std::move(error));
+  }
+  return summary;
+}
+
+PlanarStrainRecord RecordOf(PlanarStrain strain) {
+  return {std::move(strain.strain), std::move(strain.cov_strain), std::move(strain.status)};
+}
+
+struct PlanarRun::Impl {
+  PlanarRunOptions options;
+  ImageSize size;
+  int bits = 8;
+  std::unique_ptr<PlanarSequence> sequence;
+};
+
+PlanarRun::PlanarRun(const GrayImage& reference, const PlanarRunOptions& options)
+    : impl_(std::make_unique<Impl>(Impl{options, reference.size(), reference.bits, nullptr})) {
+  options.Check();
+  FieldOptions& field = impl_->options.sequence.field;
+  if (field.correlator.subset_px > std::min(reference.width(), reference.height())) {
+    throw InputError(fmt::format(
+        "A subset of {} px does not fit into the reference image of {} x {} px; take a smaller "
+        "--subset or larger images.",
+        field.correlator.subset_px, reference.width(), reference.height()));
+  }
+  if (options.roi) PlaceGrid(*options.roi, reference.size(), field);
+  impl_->sequence =
+      std::make_unique<PlanarSequence>(reference, impl_->options.sequence,
+                                       WantedPixels(reference.size(), options.roi, options.mask));
+}
+
+PlanarRun::~PlanarRun() = default;
+
+PlanarSeriesHeader PlanarRun::Header() const {
+  const FieldOptions& field = impl_->sequence->correlator().options();
+  PlanarSeriesHeader header;
+  header.grid = field.grid;
+  header.first_px = field.first_px;
+  header.step_px = field.step_px;
+  header.subset_px = field.correlator.subset_px;
+  header.order = field.correlator.order;
+  header.subset_shape = field.correlator.shape == SubsetShape::kCircle ? "circle" : "square";
+  header.interpolation = field.image.interpolation == Interpolation::kCubic ? "cubic" : "quintic";
+  header.prefilter = PrefilterName(field.image.prefilter);
+  if (field.image.prefilter == Prefilter::kGaussian) {
+    header.prefilter_sigma_px = field.image.gaussian_sigma_px;
+  }
+  const PlanarStrainOptions& strain = impl_->options.strain_options;
+  if (impl_->options.strain) {
+    header.strain_measure = Name(strain.measure);
+    header.window_points = strain.window_points;
+    header.vsg_px = (strain.window_points - 1) * field.step_px + field.correlator.subset_px;
+  }
+  header.camera = {impl_->size, impl_->bits, {kNone, kNone}, "the residuals of each subset"};
+  if (field.correlator.noise) {
+    header.camera.noise = *field.correlator.noise;
+    header.camera.noise_source = impl_->options.noise_source;
+  }
+  header.contents = {impl_->options.gradient_covariance, impl_->options.strain};
+  return header;
+}
+
+CorrelatedFrame PlanarRun::Correlate(const SequenceImage& image) {
+  CorrelatedFrame result;
+  result.frame.index = image.index;
+  result.frame.time_s = image.time_s;
+  result.frame.id = image.id;
+  result.frame.problem = image.problem;
+  if (image.problem.empty()) {
+    const auto begin = std::chrono::steady_clock::now();
+    try {
+      SequenceFrame matched = impl_->sequence->Add(image.image, image.index);
+      result.frame.reference_index = matched.reference_frame;
+      result.frame.field = std::move(matched.field);
+      result.counts = matched.counts;
+      result.lost_at_updates = matched.lost_at_updates;
+    } catch (const InputError& error) {
+      result.frame.problem = error.what();
+    }
+    if (impl_->options.strain && result.frame.problem.empty()) {
+      result.frame.strain = RecordOf(ComputePlanarStrain(result.frame.field,
+                                                         impl_->sequence->correlator().neighbours(),
+                                                         impl_->options.strain_options));
+    }
+    result.seconds =
+        std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+  }
+  result.summary = Summarise(result.frame);
+  return result;
+}
+
+namespace {
+
+// The recorded input of this file name, if the file is still the same; else nothing and why.
+std::optional<fs::path> UnchangedInput(const std::string& inputs_json, const std::string& name,
+                                       std::string* why) {
+  *why = fmt::format("'{}' is not among the recorded inputs", name);
+  const auto inputs = nlohmann::json::parse(inputs_json, nullptr, false);
+  if (!inputs.is_array()) return std::nullopt;
+  for (const auto& input : inputs) {
+    if (!input.is_object()) continue;
+    const auto text = [&](const char* key) {
+      return input.contains(key) && input[key].is_string() ? input[key].get<std::string>() : "";
+    };
+    const fs::path path = text("path");
+    if (path.filename() != fs::path(name).filename()) continue;
+    if (!fs::is_regular_file(path)) {
+      *why = fmt::format("'{}' is not there any more", path.string());
+    } else if (text("sha256").empty() || FileSha256(path) != text("sha256")) {
+      *why = fmt::format("'{}' is not the file that was read then", path.string());
+    } else {
+      return path;
+    }
+  }
+  return std::nullopt;
+}
+
+// What the recipe says of the pixels that count.
+struct RecordedPixels {
+  std::string mask, roi;
+};
+
+RecordedPixels PixelsOf(const std::string& recipe_toml) {
+  try {
+    const toml::table recipe = toml::parse(recipe_toml);
+    return {recipe["correlate"]["mask"].value_or(std::string()),
+            recipe["correlate"]["roi"].value_or(std::string())};
+  } catch (const toml::parse_error&) {
+    return {};
+  }
+}
+
+FieldOptions OptionsOf(const PlanarSeriesHeader& header) {
+  FieldOptions options;
+  options.correlator.subset_px = header.subset_px;
+  options.correlator.order = header.order;
+  options.correlator.shape =
+      header.subset_shape == "circle" ? SubsetShape::kCircle : SubsetShape::kSquare;
+  options.image.interpolation =
+      header.interpolation == "cubic" ? Interpolation::kCubic : Interpolation::kQuintic;
+  options.image.prefilter = header.prefilter == "low-pass"   ? Prefilter::kLowPass
+                            : header.prefilter == "gaussian" ? Prefilter::kGaussian
+                                                             : Prefilter::kNone;
+  if (header.prefilter == "gaussian") options.image.gaussian_sigma_px = header.prefilter_sigma_px;
+  options.step_px = header.step_px;
+  options.first_px = header.first_px;
+  options.grid = header.grid;
+  return options;
+}
+
+}  // namespace
+
+SeriesNeighbours NeighboursOf(const PlanarSeriesHeader& header, const std::string& inputs_json) {
+  std::string why;
+  try {
+    const RecordedPixels pixels = PixelsOf(header.recipe_toml);
+    const auto image = UnchangedInput(inputs_json, header.reference_id, &why);
+    std::optional<fs::path> mask;
+    if (image && !pixels.mask.empty()) mask = UnchangedInput(inputs_json, pixels.mask, &why);
+    if (image && (mask || pixels.mask.empty())) {
+      const GrayImage reference = ReadImage(*image);
+      std::optional<PixelRegion> roi;
+      if (!pixels.roi.empty()) roi = PixelRegion::Parse(pixels.roi);
+      const FieldCorrelator correlator(
+          reference, OptionsOf(header),
+          WantedPixels(reference.size(), roi, mask ? ReadMask(*mask) : Image<std::uint8_t>()));
+      SeriesNeighbours exact{correlator.neighbours(), "", {*image}};
+      if (mask) exact.files.push_back(*mask);
+      return exact;
+    }
+  } catch (const InputError& error) {
+    why = error.what();
+  } catch (const UsageError& error) {
+    why = error.what();
+  }
+  return {NeighbourCorrelation::OfOverlap(header.grid, header.step_px, header.subset_px,
+                                          header.order, header.subset_shape == "circle"),
+          fmt::format("How the errors of neighbouring points go together is taken from the overlap "
+                      "of their subsets alone, since the reference image is not to be had ({}); "
+                      "sigmas of strain may be off by some per cent.",
+                      why),
+          {}};
+}
+
+}  // namespace plumbline
