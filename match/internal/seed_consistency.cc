@@ -74,12 +74,16 @@ std::optional<Eigen::Matrix2d> GradientThrough(const Neighbour& a, const Neighbo
   return gradient;
 }
 
+struct Around {
+  std::optional<Eigen::Matrix2d> gradient;
+  bool contradicts = false;  // the map takes the seed elsewhere
+};
+
 // The map that the agreeing neighbours give by least squares without the seed, if it takes the seed
 // where it went. A line of neighbours gives none: some affine map takes a line and any further
 // point anywhere.
-std::optional<Eigen::Matrix2d> GradientAround(const std::vector<Neighbour>& neighbours,
-                                              const Eigen::Matrix2d& agreed, double tolerance_px,
-                                              double slope) {
+Around FitAround(const std::vector<Neighbour>& neighbours, const Eigen::Matrix2d& agreed,
+                 double tolerance_px, double slope) {
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
   Eigen::Matrix<double, 3, 2> right = Eigen::Matrix<double, 3, 2>::Zero();
   double distance_px = 0;
@@ -91,39 +95,47 @@ std::optional<Eigen::Matrix2d> GradientAround(const std::vector<Neighbour>& neig
     right += row * n.displacement_px.transpose();
     distance_px += n.offset_px.norm();
   }
-  if (normal(0, 0) < 3) return std::nullopt;
+  if (normal(0, 0) < 3) return {};
   const Eigen::Matrix2d scatter =
       normal.bottomRightCorner<2, 2>() -
       normal.bottomLeftCorner<2, 1>() * normal.topRightCorner<1, 2>() / normal(0, 0);
   const Eigen::Vector2d spread =
       Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(scatter).eigenvalues();
   constexpr double kLeastSpread = 0.02;
-  if (!(spread(0) > kLeastSpread * spread(1))) return std::nullopt;
+  if (!(spread(0) > kLeastSpread * spread(1))) return {};
   const Eigen::Matrix<double, 3, 2> fit = normal.ldlt().solve(right);
   const Eigen::Matrix2d gradient = fit.bottomRows<2>().transpose();
   const double off_px = fit.row(0).norm();
-  if (off_px > tolerance_px + kFittedSlope * distance_px / normal(0, 0)) return std::nullopt;
-  if (!IsPlausible(gradient)) return std::nullopt;
-  return gradient;
+  if (off_px > tolerance_px + kFittedSlope * distance_px / normal(0, 0)) return {{}, true};
+  if (!IsPlausible(gradient)) return {};
+  return {gradient, false};
 }
 
 // Support of the seed with its gradient, and the fitted one where there are neighbours enough.
 Support BestSupport(const std::vector<Neighbour>& neighbours, const Eigen::Matrix2d& own,
                     const ConsistencyOptions& options, std::uint64_t random_seed) {
   const double tolerance_px = options.tolerance_px;
-  Support best = CountSupport(neighbours, own, tolerance_px, kLooseSlope);
-  best.gradient = GradientAround(neighbours, own, tolerance_px, kLooseSlope).value_or(own);
+  Support best;
+  for (const double slope : {kFittedSlope, kLooseSlope}) {
+    Support support = CountSupport(neighbours, own, tolerance_px, slope);
+    const Around around = FitAround(neighbours, own, tolerance_px, slope);
+    if (around.contradicts || support.count <= best.count) continue;
+    support.gradient = around.gradient.value_or(own);
+    best = support;
+  }
   bool fitted = false;
   const std::size_t n = neighbours.size();
   const auto try_pair = [&](std::size_t j, std::size_t k) {
     const auto through = GradientThrough(neighbours[j], neighbours[k]);
     if (!through) return;
     Support support = CountSupport(neighbours, *through, tolerance_px, kFittedSlope);
-    // The pair itself agrees anyhow: it takes a third one to bear it out.
-    if (support.count < 3 || (fitted ? !(best < support) : support.count < best.count)) return;
-    const auto around = GradientAround(neighbours, *through, tolerance_px, kFittedSlope);
-    if (!around) return;
-    support.gradient = *around;
+    // The pair itself agrees anyhow: it takes two more to bear it out, among many pairs.
+    if (support.count < (n > 4 ? 4 : 3) ||
+        (fitted ? !(best < support) : support.count < best.count))
+      return;
+    const Around around = FitAround(neighbours, *through, tolerance_px, kFittedSlope);
+    if (!around.gradient) return;
+    support.gradient = *around.gradient;
     best = support;
     fitted = true;
   };
