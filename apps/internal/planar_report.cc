@@ -108,8 +108,9 @@ std::string PlanarReport::Complaint() const {
         header_.subset_px);
   }
   return fmt::format(
-      "No point was found: {}. Do both images show the same speckle, and is the deformed one not "
-      "blank, saturated or blurred?",
+      "No point was found: {}. Do both images show the same speckle, and is neither blank, "
+      "saturated "
+      "or blurred?",
       LossText(n));
 }
 

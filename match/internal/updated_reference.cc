@@ -54,14 +54,6 @@ Eigen::Matrix4d Kronecker(const Eigen::Matrix2d& a, const Eigen::Matrix2d& b) {
   return m;
 }
 
-// How two legs' answers to the noise of the image between them go together, with their subsets
-// offset by a share of the side: weights 1, and weights x.
-double SharedFlat(double share) { return std::max(0.0, 1 - std::abs(share)); }
-double SharedLinear(double share) {
-  const double d = std::min(2.0, 2 * std::abs(share));  // over the half side
-  return ((1 - std::pow(d - 1, 3)) / 3 - d / 2 * (1 - (d - 1) * (d - 1))) * 1.5;
-}
-
 // The mask of the first image as the points of a field carry it along: each pixel asks the nearest
 // point whose subset holds it.
 Image<std::uint8_t> CarryMask(const Image<std::uint8_t>& mask, const PlanarField& base,
@@ -311,7 +303,8 @@ void UpdatedReference::Compose(std::int64_t point, const SubsetWarp& warp,
   if (linear) leg += AtOffset(CovarianceOf(result.leg.cov_gradient.data()[i]), offset);
   // The gradients that weigh the noise of one image have the noise of the other: no other leg has
   // this error. H^-1 (n k s^4) H^-1 with L = 2 s^2 H^-1, n pixels.
-  const Eigen::Matrix2d second = side * side * noise_of_weights_ / 4 * leg * leg;
+  const double noise = side * side * noise_of_weights_ / 4;
+  const Eigen::Matrix2d second = noise * leg * leg;
   const double flat = (1 - lost_a_px_ * shift.x() * shift.x()) *
                       (1 - lost_a_px_ * shift.y() * shift.y()) *
                       (1 - (linear ? 6 * shift.squaredNorm() / (side * side) : 0));
@@ -326,17 +319,19 @@ void UpdatedReference::Compose(std::int64_t point, const SubsetWarp& warp,
       Eigen::Vector3d(cov(0, 0), cov(0, 1), cov(1, 1)).cast<float>();
   if (options_.correlator.order == 0) return;
 
-  const Eigen::Vector2d share = shift / side;
   // Of G row by row: dG = F_leg dG_base + dG_leg F_base.
   const Eigen::Matrix4d A = Kronecker(F_leg, one);
   const Eigen::Matrix4d B = Kronecker(one, F_base.transpose());
   const Eigen::Matrix4d leg_G = B * CovarianceOf(result.leg.cov_gradient.data()[i]) * B.transpose();
   const Eigen::Matrix4d last_G = A * CovarianceOf(base_leg_.cov_gradient.data()[i]) * A.transpose();
-  const Eigen::Vector2d shared(std::sqrt(SharedLinear(share.x()) * SharedFlat(share.y())),
-                               std::sqrt(SharedFlat(share.x()) * SharedLinear(share.y())));
+  // Weights that grow linearly to the edge lose three times as much there.
+  const Eigen::Vector2d lost = lost_a_px_ * shift.cwiseAbs2();
+  const Eigen::Vector2d shared(std::sqrt((1 - 3 * lost.x()) * (1 - lost.y())),
+                               std::sqrt((1 - lost.x()) * (1 - 3 * lost.y())));
   const Eigen::Vector4d rho(shared.x(), shared.y(), shared.x(), shared.y());
+  const Eigen::Matrix4d second_G = noise * side * side / 12 * leg_G * leg_G;
   const Eigen::Matrix4d cov_G = A * CovarianceOf(base_.cov_gradient.data()[i]) * A.transpose() +
-                                leg_G -
+                                leg_G + second_G -
                                 rho.asDiagonal() * ((last_G + leg_G) / 2) * rho.asDiagonal();
   total.cov_gradient.data()[i] = TriangleOf(cov_G);
 }
