@@ -207,6 +207,7 @@ std::optional<fs::path> UnchangedInput(const std::string& inputs_json, const std
     } else {
       return path;
     }
+    break;  // others of that name are other files
   }
   return std::nullopt;
 }

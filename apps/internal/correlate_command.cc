@@ -9,6 +9,7 @@
 #include "apps/internal/planar_report.h"
 #include "apps/interrupt.h"
 #include "calib/error.h"
+#include "io/noise_file.h"
 #include "io/planar_series_writer.h"
 
 namespace plumbline::internal {
@@ -36,14 +37,14 @@ class CorrelateCommand : public Command {
   void DeclareImages(OptionTable& options);
   void DeclareMatching(OptionTable& options);
   void DeclareSequence(OptionTable& options);
-  PlanarRunOptions Options(std::uint64_t seed) const;
+  PlanarRunOptions Options(std::uint64_t seed, int bits) const;
   void SetReferenceMode(SequenceOptions& sequence) const;
   void CorrelateAll(PlanarRun& run, ImageSequence& images, PlanarSeriesWriter& writer,
                     ProgressStyle style, PlanarReport& report) const;
 
   std::string reference_, output_ = "field.h5";
   std::vector<std::string> deformed_;
-  std::string frames_, roi_, mask_, timestamps_;
+  std::string frames_, roi_, mask_, timestamps_, noise_;
   std::optional<double> frames_per_second_;
   bool overwrite_ = false;
   FieldOptions field_;
@@ -148,6 +149,12 @@ void CorrelateCommand::DeclareMatching(OptionTable& options) {
               &o.max_sigma_px);
   options.Add({.name = "max-iterations", .help = "of a subset", .min = 1, .max = 255},
               &o.max_iterations);
+  options.Add(
+      {.name = "noise",
+       .help = "noise of the camera, as plumbline noise writes it; empty: from the residual "
+               "of each subset",
+       .unit = "FILE"},
+      &noise_);
   options.Add({.name = "no-verify",
                .help = "do not check points by a match backwards, nor against their neighbours"},
               &no_verify_);
@@ -179,7 +186,7 @@ void CorrelateCommand::SetReferenceMode(SequenceOptions& sequence) const {
                                                    : ReferenceMode::kFixed;
 }
 
-PlanarRunOptions CorrelateCommand::Options(std::uint64_t seed) const {
+PlanarRunOptions CorrelateCommand::Options(std::uint64_t seed, int bits) const {
   PlanarRunOptions options;
   options.sequence = sequence_;
   SetReferenceMode(options.sequence);
@@ -203,6 +210,10 @@ PlanarRunOptions CorrelateCommand::Options(std::uint64_t seed) const {
           prefilter_));
     }
     field.image.prefilter = Prefilter::kGaussian;
+  }
+  if (!noise_.empty()) {
+    field.correlator.noise = ReadCameraNoise(noise_, "camera").ForBits(bits);
+    options.noise_source = fs::path(noise_).filename().string();
   }
   field.verify = !no_verify_;
   field.seeds.features.random_seed = seed;
@@ -256,7 +267,7 @@ CommandReport CorrelateCommand::Run(const CommonOptions& common, const std::stri
   source.timestamps_csv = timestamps_;
   source.expected_size = reference.image.size();
   const auto images = OpenImageSequence(deformed_, source);
-  const PlanarRunOptions options = Options(common.seed);
+  const PlanarRunOptions options = Options(common.seed, reference.image.bits);
   PlanarRun run(reference.image, options);
 
   PlanarSeriesHeader header = run.Header();
@@ -264,7 +275,7 @@ CommandReport CorrelateCommand::Run(const CommonOptions& common, const std::stri
   header.recipe_toml = recipe_toml;
   header.inputs = inputs;
   for (const fs::path& file : images->Files()) header.inputs.push_back(file);
-  for (const std::string& file : {mask_, timestamps_}) {
+  for (const std::string& file : {mask_, noise_, timestamps_}) {
     if (!file.empty()) header.inputs.emplace_back(file);
   }
 

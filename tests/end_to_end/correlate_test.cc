@@ -134,6 +134,23 @@ TEST(Correlate, UpdatesTheReferenceAndCountsFromTheFirst) {
   EXPECT_NEAR(json["frames"][3]["displacement_px"]["median"][1].get<double>(), -2.4, 0.005);
 }
 
+TEST(Correlate, TakesTheNoiseFromAFile) {
+  const fs::path folder = TestFolder();
+  testing::WriteSpecimen(folder, 1);
+  std::ofstream(folder / "noise.toml")
+      << "format = \"plumbline-noise\"\n[camera]\nbits = 8\noffset_grey2 = 16\nslope_grey = 0\n"
+         "sigma_offset_grey2 = 0.1\nsigma_slope_grey = 0\noffset_slope_correlation = 0\n"
+         "frames = 8\nwidth = 220\nheight = 180\nlowest_grey = 20\nhighest_grey = 230\n";
+  const auto found = RunJson(Images(folder) + kSettings);
+  const auto told = RunJson(Images(folder) + kSettings + " --overwrite --noise " +
+                            (folder / "noise.toml").string());
+  const auto sigma = [](const nlohmann::json& json) {
+    return json["frames"][0]["displacement_px"]["median_sigma"].get<double>();
+  };
+  EXPECT_NEAR(sigma(told) / sigma(found), 4, 0.4);  // the images have a noise of 1 grey level
+  EXPECT_EQ(PlanarSeriesReader(folder / "field.h5").header().camera.noise.offset_grey2, 16);
+}
+
 TEST(Correlate, ReadsItsRecipeAgain) {
   const fs::path folder = TestFolder();
   testing::WriteSpecimen(folder, 1);
