@@ -63,23 +63,24 @@ FieldCorrelator::FieldCorrelator(const GrayImage& reference, const FieldOptions&
                                  const Image<std::uint8_t>& mask) {
   options.Check();
   FieldOptions filled = options;
-  if (options.first_px.x() < 0) {
-    // A margin for motion of a pixel or two, so that the outermost points do not leave the image.
-    const int margin = std::min(
-        2, (std::min(reference.width(), reference.height()) - options.correlator.subset_px) / 2);
-    const int first = options.correlator.radius_px() + std::max(0, margin);
-    const auto count = [&](int length) {
-      return length <= 2 * first ? 0 : (length - 2 * first - 1) / options.step_px + 1;
-    };
-    filled.first_px = Eigen::Vector2i(first, first);
-    filled.grid = {count(reference.width()), count(reference.height())};
-  }
   // Seeds are looked for with subsets that have room to move in a small image too.
   const int shorter = std::min(reference.width(), reference.height());
   const int widest = std::max(kSmallestSeedSubset, shorter / 3 * 2 + 1);
   filled.seeds.fft.subset_px = std::min(filled.seeds.fft.subset_px, widest);
   filled.seeds.features.subset_px = std::min(filled.seeds.features.subset_px, widest);
   impl_ = std::make_unique<Impl>(reference, filled, mask);
+  if (options.first_px.x() < 0) {
+    // Room for motion of a pixel or two, so that the outermost points do not leave the image.
+    const int room =
+        std::min(impl_->reference.edge_px() + 2, (shorter - options.correlator.subset_px) / 2);
+    const int first = options.correlator.radius_px() + std::max(0, room);
+    const auto count = [&](int length) {
+      return length <= 2 * first ? 0 : (length - 2 * first - 1) / options.step_px + 1;
+    };
+    filled.first_px = Eigen::Vector2i(first, first);
+    filled.grid = {count(reference.width()), count(reference.height())};
+    impl_->options = filled;
+  }
   if (filled.grid.width < 1 || filled.grid.height < 1) {
     throw InputError("The region holds no point to correlate: take a larger one.");
   }

@@ -21,8 +21,8 @@ struct FieldOptions {
   CorrelationImageOptions image;
   FindSeedsOptions seeds;
   int step_px = 8;  // between points
-  // Left out: all points whose subset fits into the image, with 2 px to spare. Else the first point
-  // and their number.
+  // Left out: all points whose subset fits into the image, less its edge
+  // (CorrelationImage::edge_px()) and with 2 px to spare. Else the first point and their number.
   Eigen::Vector2i first_px{-1, -1};
   ImageSize grid;
 

@@ -87,7 +87,7 @@ TEST(ImageSequence, DamagedAndOddImagesAreNamedAndTheRestGoesOn) {
   EXPECT_EQ(good, 10);
   ASSERT_EQ(problems.size(), 2u);
   EXPECT_THAT(problems[0], HasSubstr("img3.png"));
-  EXPECT_THAT(problems[1], HasSubstr("img5.png is 9x6 px and img1.png 8x6 px"));
+  EXPECT_THAT(problems[1], HasSubstr("img5.png is 9x6 px and img1.png is 8x6 px"));
 }
 
 TEST(ImageSequence, StatesColourAndBits) {

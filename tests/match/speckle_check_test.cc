@@ -91,7 +91,8 @@ TEST(SpeckleCheck, FindsTheFeatureSize) {
 TEST(SpeckleCheck, FindsTheBlurOfSharpDiscs) {
   for (const double scale : {1.0, 2.0}) {
     const GrayImage sharp = RenderSpeckle(
-        {256, 220}, kAtRest, 0, 1, {.kind = SpeckleKind::kSharpDiscs, .scale = scale, .bits = 16});
+        {256, 220}, kAtRest, 0, 1,
+        {.kind = SpeckleKind::kSharpDiscs, .scale = scale, .edge_sigma_px = 0.29, .bits = 16});
     for (const double blur_px : {0.0, 1.0, 2.0, 3.0}) {
       for (const double noise : {1.0, 3.0}) {
         const SpeckleCheck check = CheckSpeckle(Blurred(sharp, blur_px, noise, 5));

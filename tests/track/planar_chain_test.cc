@@ -117,7 +117,9 @@ void ExpectConsistent(const Chain& chain, double nees, double coverage) {
   }
 }
 
-TEST(PlanarChain, SigmasHoldFromImagesToStrain) { ExpectConsistent(Simulate(30, true), 0.12, 0.025); }
+TEST(PlanarChain, SigmasHoldFromImagesToStrain) {
+  ExpectConsistent(Simulate(30, true), 0.12, 0.025);
+}
 
 TEST(PlanarChain, ProveSigmasOver200Draws) {
   if (std::getenv("PLUMBLINE_PROVE") == nullptr) GTEST_SKIP() << "set PLUMBLINE_PROVE=1";
