@@ -155,46 +155,53 @@ TEST(CorrelationChallenge, Sample15SteepGradients) {
   const struct {
     int subset, order;
     double rms, worst_row, flat;
-  } settings[] = {{33, 2, 0.0235, 0.10, 0.0190}, {21, 1, 0.0250, 0.14, 0.0165}};
+  } settings[] = {{33, 2, 0.0215, 0.095, 0.0190}, {21, 1, 0.0245, 0.145, 0.0165}};
+  constexpr int kSteepness[] = {50, 200, 400};
   for (const auto& setting : settings) {
-    const FieldCorrelator correlator(reference, OptionsOf(setting.subset, setting.order, 9));
-    for (const int k : {50, 200, 400}) {
-      const auto column = static_cast<std::size_t>(k / 50);  // of the table: K50, K100, K150...
-      const CorrelatedField found =
-          correlator.Correlate(ReadImage(folder / ("P200_K" + std::to_string(k) + "_N2.png")));
-      Spread error, flat;
-      double worst_row = 0;
-      std::vector<double> sigma;
-      for (int r = 0; r < found.field.size().height; ++r) {
-        const double y = found.field.PixelOf(r, 0).y();
-        const double truth = ExactV(table, column, y);
-        const double slope = std::abs(ExactV(table, column, y + setting.subset) -
-                                      ExactV(table, column, y - setting.subset));
-        Spread row;
-        for (int c = 0; c < found.field.size().width; ++c) {
-          if (found.field.status(r, c) != Status::kOk) continue;
-          const double e = found.field.displacement_px(r, c).y() - truth;
-          row.Add(e);
-          error.Add(e);
-          if (slope < 0.002) {
-            flat.Add(e);
-            sigma.push_back(std::sqrt(found.field.cov_displacement_px2(r, c)[2]));
+    Spread error[3], flat[3];
+    double worst_row[3] = {};
+    std::vector<double> sigma[3];
+    std::int64_t ok = 0, points = 0;
+    // The misfit is in few rows: every third one is looked at, by three grids.
+    for (const int offset : {0, 3, 6}) {
+      FieldOptions options = OptionsOf(setting.subset, setting.order, 9);
+      options.first_px = {30, 30 + offset};
+      options.grid = {100, 104};
+      const FieldCorrelator correlator(reference, options);
+      for (int i = 0; i < 3; ++i) {
+        const auto column = static_cast<std::size_t>(kSteepness[i] / 50);  // of the table
+        const CorrelatedField found = correlator.Correlate(
+            ReadImage(folder / ("P200_K" + std::to_string(kSteepness[i]) + "_N2.png")));
+        ok += found.counts.ok;
+        points += found.counts.points;
+        for (int r = 0; r < found.field.size().height; ++r) {
+          const double y = found.field.PixelOf(r, 0).y();
+          const double truth = ExactV(table, column, y);
+          const double change = std::abs(ExactV(table, column, y + setting.subset) -
+                                         ExactV(table, column, y - setting.subset));
+          Spread row;
+          for (int c = 0; c < found.field.size().width; ++c) {
+            if (found.field.status(r, c) != Status::kOk) continue;
+            const double e = found.field.displacement_px(r, c).y() - truth;
+            row.Add(e);
+            error[i].Add(e);
+            if (change > 0.002) continue;
+            flat[i].Add(e);
+            sigma[i].push_back(std::sqrt(found.field.cov_displacement_px2(r, c)[2]));
           }
+          if (row.n > 0) worst_row[i] = std::max(worst_row[i], std::abs(row.mean()));
         }
-        if (row.n > 0) worst_row = std::max(worst_row, std::abs(row.mean()));
       }
-      std::printf(
-          "S15 K%d %d px order %d: rms %.4f worst row %.3f flat std %.4f claimed %.4f (%g) ok %.2f "
-          "%%\n",
-          k, setting.subset, setting.order, error.rms(), worst_row, flat.deviation(),
-          sigma.empty() ? NAN : Median(sigma), flat.n, 100 * OkShare(found));
-      EXPECT_LT(error.rms(), setting.rms);
-      EXPECT_LT(worst_row, setting.worst_row);
-      if (flat.n > 100) {
-        EXPECT_LT(flat.deviation(), setting.flat);
-      }
-      EXPECT_GT(OkShare(found), 0.975);  // the image's edge moves out of the view by 10 px
     }
+    for (int i = 0; i < 3; ++i) {
+      std::printf("S15 K%d %d px order %d: rms %.4f worst row %.3f flat std %.4f claimed %.4f\n",
+                  kSteepness[i], setting.subset, setting.order, error[i].rms(), worst_row[i],
+                  flat[i].deviation(), Median(sigma[i]));
+      EXPECT_LT(error[i].rms(), setting.rms);
+      EXPECT_LT(worst_row[i], setting.worst_row);
+      EXPECT_LT(flat[i].deviation(), setting.flat);
+    }
+    EXPECT_GT(ok, 0.985 * static_cast<double>(points));
   }
 }
 
