@@ -36,12 +36,6 @@ std::vector<float> TapsOf(const CorrelationImageOptions& options) {
   }
 }
 
-int Reflected(int i, int size) {
-  if (size == 1) return 0;
-  while (i < 0 || i >= size) i = i < 0 ? -i : 2 * (size - 1) - i;
-  return i;
-}
-
 }  // namespace
 
 void CorrelationImageOptions::Check() const {
@@ -80,12 +74,12 @@ CorrelationImage::CorrelationImage(const GrayImage& image, const CorrelationImag
   coefficients_.resize(static_cast<std::size_t>(stride_) *
                        static_cast<std::size_t>(height + 2 * kMargin));
   for (int y = -kMargin; y < height + kMargin; ++y) {
-    const float* from = coefficients.row(Reflected(y, height));
+    const float* from = coefficients.row(Mirrored(y, height));
     float* to = coefficients_.data() + (y + kMargin) * stride_ + kMargin;
     std::copy(from, from + width, to);
     for (int k = 1; k <= kMargin; ++k) {
-      to[-k] = from[Reflected(-k, width)];
-      to[width - 1 + k] = from[Reflected(width - 1 + k, width)];
+      to[-k] = from[Mirrored(-k, width)];
+      to[width - 1 + k] = from[Mirrored(width - 1 + k, width)];
     }
   }
   for (int i = 0; i <= kFractions; ++i) {
@@ -116,10 +110,10 @@ double CorrelationImage::Value(const Eigen::Vector2d& pixel) const {
   const int before = (degree() - 1) / 2;
   double value = 0;
   for (int j = 0; j <= degree(); ++j) {
-    const int y = Reflected(static_cast<int>(y0) - before + j, grey_.height());
+    const int y = Mirrored(static_cast<int>(y0) - before + j, grey_.height());
     double row = 0;
     for (int i = 0; i <= degree(); ++i) {
-      const int x = Reflected(static_cast<int>(x0) - before + i, grey_.width());
+      const int x = Mirrored(static_cast<int>(x0) - before + i, grey_.width());
       row += along_x[i] * static_cast<double>(coefficients()[y * stride_ + x]);
     }
     value += along_y[j] * row;

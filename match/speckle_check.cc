@@ -13,6 +13,7 @@
 #include "match/internal/frame_difference.h"
 #include "match/internal/speckle_advice.h"
 #include "match/internal/speckle_spectrum.h"
+#include "match/internal/worst_sigma.h"
 
 namespace plumbline {
 namespace {
@@ -57,11 +58,6 @@ std::optional<Eigen::Matrix2d> Covariance(const SubsetSums& sums, double noise_u
       2 * sums.weighted - kGradientNoise * sums.variance2 * Eigen::Matrix2d::Identity();
   const Eigen::Matrix2d inverse = H.inverse();
   return Eigen::Matrix2d(inverse * scattered * inverse);
-}
-
-double WorstSigma(const Eigen::Matrix2d& cov) {
-  return std::sqrt(
-      Eigen::SelfAdjointEigenSolver<Eigen::Matrix2d>(cov, Eigen::EigenvaluesOnly).eigenvalues()[1]);
 }
 
 class Checker {
@@ -243,7 +239,7 @@ void Checker::CheckPoi(SpecklePoi& poi) const {
     if (last) break;
     const std::optional<Eigen::Matrix2d> cov =
         Covariance(sums, out_.noise_estimated ? kEstimateUnsure : kNoiseUnsure);
-    const double sigma = cov ? WorstSigma(*cov) : kNan;
+    const double sigma = cov ? internal::WorstSigma(*cov) : kNan;
     if (poi.smallest_subset_px == 0 && sigma <= options_.wanted_sigma_px) {
       poi.smallest_subset_px = 2 * r + 1;
     }

@@ -11,6 +11,7 @@
 #include "calib/error.h"
 #include "match/internal/normal_equations.h"
 #include "match/internal/subset_sums.h"
+#include "match/internal/worst_sigma.h"
 
 namespace plumbline {
 namespace {
@@ -119,12 +120,6 @@ double TargetNoiseShare(const CorrelationImage& deformed, const Eigen::Vector2i&
     }
   }
   return sum / 9;
-}
-
-// Along the longest axis of the ellipse.
-double WorstSigma(const Eigen::Matrix2d& covariance) {
-  const double half_difference = (covariance(0, 0) - covariance(1, 1)) / 2;
-  return std::sqrt(covariance.trace() / 2 + std::hypot(half_difference, covariance(0, 1)));
 }
 
 }  // namespace
@@ -410,7 +405,7 @@ SubsetMatch SubsetCorrelator::Impl::Find(const CorrelationImage& deformed,
       for (int k = 0; k < 4; ++k) match.cov_gradient(i, k) = covariance(places[i], places[k]);
     }
   }
-  if (!(WorstSigma(match.cov_displacement_px2) <= options.max_sigma_px)) {
+  if (!(internal::WorstSigma(match.cov_displacement_px2) <= options.max_sigma_px)) {
     match.status = Status::kLowTexture;
   }
   return match;

@@ -82,12 +82,8 @@ void OfSubsets(const PlanarField& field, const Image<double>& weight, PlanarStra
   tbb::parallel_for(0, field.size().height, [&](int row) {
     for (int column = 0; column < field.size().width; ++column) {
       if (!(weight(row, column) > 0)) continue;
-      Eigen::Matrix4d cov;
-      int next = 0;
-      for (int i = 0; i < 4; ++i) {
-        for (int j = i; j < 4; ++j) cov(i, j) = cov(j, i) = field.cov_gradient(row, column)[next++];
-      }
-      SetPoint(field.gradient(row, column).cast<double>(), cov, row, column, out);
+      SetPoint(field.gradient(row, column).cast<double>(),
+               CovarianceOf(field.cov_gradient(row, column)), row, column, out);
       out.points(row, column) = 1;
     }
   });

@@ -31,14 +31,6 @@ std::vector<double> Poles(int degree) {
           std::sqrt(67.5 + std::sqrt(4436.25)) - std::sqrt(26.25) - 6.5};
 }
 
-// Index of the sample that a mirrored border shows at place i.
-int Mirrored(int i, int size) {
-  if (size == 1) return 0;
-  const int period = 2 * (size - 1);
-  i = ((i % period) + period) % period;
-  return i < size ? i : period - i;
-}
-
 // Terms of the mirrored past that still matter in double.
 int Horizon(double pole) {
   return static_cast<int>(std::ceil(std::log(1e-17) / std::log(std::abs(pole))));
@@ -115,6 +107,13 @@ void FilterRows(int degree, double scale, Image<float>& image) {
 }
 
 }  // namespace
+
+int Mirrored(int i, int size) {
+  if (size == 1) return 0;
+  const int period = 2 * (size - 1);
+  i = ((i % period) + period) % period;
+  return i < size ? i : period - i;
+}
 
 void SplineWeights(int degree, double t, double* weights) {
   const auto* polynomials = Polynomials(degree);

@@ -13,6 +13,9 @@ namespace plumbline::internal {
 // Coefficients that a value between samples is made of.
 constexpr int SplineTaps(int degree) { return degree + 1; }
 
+// Index of the sample that a border mirrored about the outermost samples shows at place i.
+int Mirrored(int i, int size);
+
 // Weights of the coefficients floor(x) - (degree - 1) / 2 ... for the value at x, fraction t in
 // [0, 1]; and those of the derivative by x.
 void SplineWeights(int degree, double t, double* weights);

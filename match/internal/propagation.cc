@@ -44,15 +44,8 @@ void Propagation::Store(std::int64_t point, const SubsetMatch& match) {
   if (match.status != Status::kOk) return;
   field_.displacement_px.data()[i] = match.warp.displacement_px();
   field_.gradient.data()[i] = match.warp.gradient().cast<float>();
-  const Eigen::Matrix2d& cov = match.cov_displacement_px2;
-  field_.cov_displacement_px2.data()[i] =
-      Eigen::Vector3d(cov(0, 0), cov(0, 1), cov(1, 1)).cast<float>();
-  int k = 0;
-  for (int a = 0; a < 4; ++a) {
-    for (int b = a; b < 4; ++b) {
-      field_.cov_gradient.data()[i][k++] = static_cast<float>(match.cov_gradient(a, b));
-    }
-  }
+  field_.cov_displacement_px2.data()[i] = TriangleOf(match.cov_displacement_px2);
+  field_.cov_gradient.data()[i] = TriangleOf(match.cov_gradient);
   warps_.data()[i] = match.warp.c.cast<float>();
   found_.push({static_cast<float>(match.zncc), point});
 }

@@ -12,32 +12,6 @@
 namespace plumbline::internal {
 namespace {
 
-using Triangle10 = Eigen::Matrix<float, 10, 1>;
-
-Eigen::Matrix2d CovarianceOf(const Eigen::Vector3f& c) {
-  Eigen::Matrix2d m;
-  m << c[0], c[1], c[1], c[2];
-  return m;
-}
-
-Eigen::Matrix4d CovarianceOf(const Triangle10& c) {
-  Eigen::Matrix4d m;
-  int k = 0;
-  for (int i = 0; i < 4; ++i) {
-    for (int j = i; j < 4; ++j) m(i, j) = m(j, i) = c[k++];
-  }
-  return m;
-}
-
-Triangle10 TriangleOf(const Eigen::Matrix4d& m) {
-  Triangle10 c;
-  int k = 0;
-  for (int i = 0; i < 4; ++i) {
-    for (int j = i; j < 4; ++j) c[k++] = static_cast<float>(m(i, j));
-  }
-  return c;
-}
-
 // What an error of the gradient (row by row) does at an offset.
 Eigen::Matrix2d AtOffset(const Eigen::Matrix4d& cov_gradient, const Eigen::Vector2d& offset) {
   Eigen::Matrix<double, 2, 4> J = Eigen::Matrix<double, 2, 4>::Zero();
@@ -313,10 +287,8 @@ void UpdatedReference::Compose(std::int64_t point, const SubsetWarp& warp,
   const Eigen::Matrix2d cov = F_leg * before * F_leg.transpose() + leg + second -
                               flat / 2 * (F_leg * last * F_leg.transpose() + leg);
   result.offset_px.data()[i] = offset.cast<float>();
-  result.leg.cov_displacement_px2.data()[i] =
-      Eigen::Vector3d(leg(0, 0), leg(0, 1), leg(1, 1)).cast<float>();
-  total.cov_displacement_px2.data()[i] =
-      Eigen::Vector3d(cov(0, 0), cov(0, 1), cov(1, 1)).cast<float>();
+  result.leg.cov_displacement_px2.data()[i] = TriangleOf(leg);
+  total.cov_displacement_px2.data()[i] = TriangleOf(cov);
   if (options_.correlator.order == 0) return;
 
   // Of G row by row: dG = F_leg dG_base + dG_leg F_base.

@@ -77,22 +77,11 @@ Chain Simulate(int draws, bool know_the_noise) {
       for (int c = 0; c < field.size().width; ++c) {
         if (field.status(r, c) != Status::kOk) continue;
         const Eigen::Vector2d truth = shift + gradient * (field.PixelOf(r, c) - middle);
-        const Eigen::Vector3d cov = field.cov_displacement_px2(r, c).cast<double>();
-        Eigen::Matrix2d displacement_cov;
-        displacement_cov << cov[0], cov[1], cov[1], cov[2];
         chain.displacement.Add(Eigen::Vector2d(field.displacement_px(r, c) - truth),
-                               displacement_cov);
-        Eigen::Matrix4d gradient_cov;
-        int k = 0;
-        for (int a = 0; a < 4; ++a) {
-          for (int b = a; b < 4; ++b) {
-            gradient_cov(a, b) = gradient_cov(b, a) =
-                static_cast<double>(field.cov_gradient(r, c)[k++]);
-          }
-        }
+                               CovarianceOf(field.cov_displacement_px2(r, c)));
         const Eigen::Matrix2d off = field.gradient(r, c).cast<double>() - gradient;
         chain.gradient.Add(Eigen::Vector4d(off(0, 0), off(0, 1), off(1, 0), off(1, 1)),
-                           gradient_cov);
+                           CovarianceOf(field.cov_gradient(r, c)));
       }
     }
     const PlanarStrain strain = ComputePlanarStrain(field, correlator.neighbours(), gauge);
