@@ -11,8 +11,8 @@ std::vector<std::string> Names(const SeriesContents& contents) {
   return internal::NamesOf(contents);
 }
 
-PrincipalStrain PrincipalOf(const Eigen::Vector3f& green_lagrange) {
-  const StrainInvariants invariants = InvariantsOf(green_lagrange.cast<double>());
+PrincipalStrain PrincipalOf(const Eigen::Vector3f& strain) {
+  const StrainInvariants invariants = InvariantsOf(strain.cast<double>());
   return {invariants.principal.cast<float>(), static_cast<float>(invariants.angle_rad)};
 }
 

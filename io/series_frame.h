@@ -28,6 +28,10 @@ struct SeriesContents {
   bool wheel = false;
   bool patch = false;
   bool slip = false;
+  bool matches = false;       // /match
+  bool velocity = false;      // /velocity
+  bool rigid_motion = false;  // /rigid_motion
+  bool rig_watch = false;     // /rig_watch
 
   friend bool operator==(const SeriesContents&, const SeriesContents&) = default;
 };
@@ -95,12 +99,46 @@ struct DisplacementField {
   Image<Eigen::Vector3f> sigma_calibration_mm;
 };
 
-// The Green-Lagrange strain as /strain holds it: xx, yy, xy in the local axes of the surface, xy
-// the tensor's shear component (half of the engineering shear). Without unit.
+// The velocity of the points, as /velocity holds it, in Surface::frame; under the rules of
+// DisplacementField.
+struct VelocityField {
+  Image<Eigen::Vector3f> value_mm_s;
+  Image<Eigen::Vector3f> sigma_random_mm_s;
+  Image<Eigen::Vector3f> sigma_calibration_mm_s;
+};
+
+// Where each point is seen, and how sure, as /match holds it: what all else follows from without
+// correlating again. Under the rules of DisplacementField; what a matcher cannot tell is NaN.
+struct MatchField {
+  // The pixel in that image now, less the grid's pixel.
+  Image<Eigen::Vector2f> left_displacement_px, right_displacement_px;
+  // Of these displacements along x and y of the image that the grid lies in:
+  // (du/dx du/dy; dv/dx dv/dy).
+  Image<Eigen::Matrix2f> left_gradient, right_gradient;
+  // Random covariance of these pixels, uu, uv, vv, and how much of it (0 to 1) comes from the noise
+  // of the reference image: that part is common to all matches of one subset.
+  Image<Eigen::Vector3f> left_cov_px2, right_cov_px2;
+  Image<float> left_reference_share, right_reference_share;
+};
+
+// The strain as /strain holds it, of the measure that the header names: xx, yy, xy in the local
+// axes of the surface, xy the tensor's shear component (half of the engineering shear). Without
+// unit. NaN where `status` is not kOk, which is the strain's own: a point may have a position and
+// no strain (at an edge the gauge is not full).
 struct StrainField {
-  Image<Eigen::Vector3f> green_lagrange;
+  Image<Eigen::Vector3f> value;
   Image<Eigen::Vector3f> sigma_random;
   Image<Eigen::Vector3f> sigma_calibration;
+  Image<Status> status;
+  // Written where SeriesContents::covariance is set. From independent noise, upper triangle row by
+  // row: xx xx, xx yy, xx xy, yy yy, yy xy, xy xy.
+  Image<Eigen::Matrix<float, 6, 1>> cov_random;
+  // Of what follows from the components (StrainInvariants in track/strain_measure.h). Each may be
+  // empty: then it is NaN in the file.
+  Image<Eigen::Vector2f> sigma_random_principal, sigma_calibration_principal;
+  Image<float> sigma_random_angle_rad, sigma_calibration_angle_rad;
+  Image<float> sigma_random_max_shear, sigma_calibration_max_shear;
+  Image<float> sigma_random_von_mises, sigma_calibration_von_mises;
 };
 
 // The principal strains of (xx, yy, xy), the larger one first, and the angle of the first one's
@@ -110,7 +148,7 @@ struct PrincipalStrain {
   Eigen::Vector2f strain;
   float angle_rad;
 };
-PrincipalStrain PrincipalOf(const Eigen::Vector3f& green_lagrange);
+PrincipalStrain PrincipalOf(const Eigen::Vector3f& strain);
 
 // The wheel of one frame, as /wheel holds it, in the ground frame. Where it was found, axis and
 // centre are numbers; what else was not measured is NaN.
@@ -179,6 +217,44 @@ struct SlipRecord {
   static constexpr double kNotMeasured = GroundRecord::kNotMeasured;
 };
 
+// The rigid motion of the whole surface since the reference, as /rigid_motion holds it:
+// now_from_reference, in Surface::frame. Where it was found, both vectors are numbers.
+struct RigidMotionRecord {
+  bool found = false;
+  std::string problem;                                                     // why not
+  Eigen::Vector3d rotation_rad = Eigen::Vector3d::Constant(kNotMeasured);  // axis times angle
+  Eigen::Vector3d translation_mm = Eigen::Vector3d::Constant(kNotMeasured);
+  Eigen::Vector3d sigma_random_rotation_rad = Eigen::Vector3d::Constant(kNotMeasured);
+  Eigen::Vector3d sigma_calibration_rotation_rad = Eigen::Vector3d::Constant(kNotMeasured);
+  Eigen::Vector3d sigma_random_translation_mm = Eigen::Vector3d::Constant(kNotMeasured);
+  Eigen::Vector3d sigma_calibration_translation_mm = Eigen::Vector3d::Constant(kNotMeasured);
+
+  static constexpr double kNotMeasured = GroundRecord::kNotMeasured;
+};
+
+// Whether the right camera has moved against the left one, as /rig_watch holds it. Where it was
+// found, the rms distance from the epipolar lines and the pose used in this frame are numbers.
+struct RigWatchRecord {
+  bool found = false;
+  std::string problem;  // why not
+  double epipolar_mean_px = kNotMeasured;
+  double epipolar_rms_px = kNotMeasured;
+  double epipolar_sigma_px = kNotMeasured;  // the rms that the matches' noise lets expect
+  double chi2_calibration = kNotMeasured;   // of the pose of this frame less the calibrated one
+  double chi2_first = kNotMeasured;         // of the pose of this frame less that of the first one
+  // The pose of this frame less the calibrated one: rotation vector (rad), translation (mm).
+  Eigen::Matrix<double, 6, 1> change = Eigen::Matrix<double, 6, 1>::Constant(kNotMeasured);
+  Eigen::Matrix<double, 6, 1> sigma_random_change =
+      Eigen::Matrix<double, 6, 1>::Constant(kNotMeasured);
+  Eigen::Matrix<double, 6, 1> sigma_calibration_change =
+      Eigen::Matrix<double, 6, 1>::Constant(kNotMeasured);
+  bool refined = false;    // that pose was used for this frame, not the calibrated one
+  bool alarm = false;      // the camera has moved
+  Rigid3 right_from_left;  // used in this frame
+
+  static constexpr double kNotMeasured = GroundRecord::kNotMeasured;
+};
+
 struct SeriesFrame {
   std::int64_t index = 0;
   double time_s = 0;
@@ -193,6 +269,10 @@ struct SeriesFrame {
   WheelRecord wheel;
   PatchRecord patch;
   SlipRecord slip;
+  MatchField match;
+  VelocityField velocity;
+  RigidMotionRecord rigid_motion;
+  RigWatchRecord rig_watch;
 };
 
 }  // namespace plumbline

@@ -6,6 +6,7 @@
 #include "io/internal/patch_contours.h"
 #include "io/internal/rig_group.h"
 #include "io/internal/series_file.h"
+#include "io/internal/series_images.h"
 #include "io/internal/series_layout.h"
 #include "io/internal/series_records.h"
 
@@ -29,6 +30,7 @@ Eigen::MatrixXd ToMatrix(const internal::RecordField& field, const std::vector<d
 // What SeriesHeader has of the same names.
 struct Attributes {
   std::string grid_points, displacement_reference, strain_measure, strain_axes, slip_convention;
+  bool rigid_motion_removed = false;
   int vsg_px = 0;
   double vsg_mm = 0;
 };
@@ -46,6 +48,7 @@ struct SeriesReader::Impl {
   internal::SeriesFile file;
   internal::GridFacts grid;
   SeriesContents contents;
+  std::int64_t version = 1;
   Attributes attributes;
   std::vector<std::int64_t> index;
   std::vector<double> time_s;
@@ -57,6 +60,7 @@ struct SeriesReader::Impl {
   explicit Impl(const fs::path& path) : file(path, internal::SeriesFile::Kind::kStereo) {
     file.Reading([&] {
       contents = internal::ContentsOf<SeriesContents>(file.id());
+      version = internal::VersionOf(file.id());
       grid = file.ReadGrid();
       ReadAttributes();
       ReadFrames();
@@ -74,6 +78,11 @@ struct SeriesReader::Impl {
     attributes.strain_measure = text("/strain", "measure", "green_lagrange");
     attributes.strain_axes = text("/strain", "strain_axes", "material");
     attributes.slip_convention = text("/slip", "convention", "ISO 8855");
+    if (contents.displacement) {
+      const hdf5::Id displacement = hdf5::OpenGroup(file.id(), "/displacement");
+      attributes.rigid_motion_removed =
+          hdf5::GetNumber(displacement.get(), "rigid_motion_removed", 0) != 0;
+    }
     if (!contents.strain) return;
     const hdf5::Id strain = hdf5::OpenGroup(file.id(), "/strain");
     const double vsg_px = hdf5::GetNumber(strain.get(), "vsg_px", 0);
@@ -127,26 +136,38 @@ struct SeriesReader::Impl {
   }
 
   void ReadPoints(std::size_t i, SeriesFrame* frame) const {
-    using internal::PointPart;
-    const internal::PointLayout& layout = internal::StereoPoints();
-    const ImageSize size = grid.pixel.size();
-    const auto read = [&](internal::PointGroup group, PointPart part, auto* image) {
-      using Element = std::decay_t<decltype(*image->data())>;
-      *image = file.Points<Element, float>(layout.FieldOf(group, part).Path(), i, size);
-    };
-    for (int g = 0; g < internal::kPointGroupCount; ++g) {
-      const auto group = static_cast<internal::PointGroup>(g);
-      if (!internal::Holds(internal::BitsOf(contents), layout.groups[group].needs)) continue;
-      const auto images = internal::VectorImages(*frame, group);
-      read(group, PointPart::kValue, images[0]);
-      read(group, PointPart::kRandom, images[1]);
-      read(group, PointPart::kCalibration, images[2]);
+    const std::uint32_t bits = internal::BitsOf(contents);
+    for (const internal::PointField& field : internal::StereoPoints().fields) {
+      const std::string path = field.PathIn(version);
+      if (!internal::Holds(bits, field.needs) || path.empty()) continue;
+      internal::VisitImage(*frame, field, [&](auto& image) { ReadImage(path, i, &image); });
     }
-    Surface& s = frame->surface;
-    read(internal::kSurface, PointPart::kCorrelation, &s.correlation);
-    read(internal::kSurface, PointPart::kEpipolar, &s.epipolar_px);
-    if (contents.covariance) read(internal::kSurface, PointPart::kCovariance, &s.cov_random_mm2);
-    s.status = file.Statuses("/surface/status", i, size);
+    if (contents.strain && frame->strain.status.empty()) {
+      frame->strain.status = StatusOfOldStrain(*frame);
+    }
+  }
+
+  template <typename Element>
+  void ReadImage(const std::string& path, std::size_t i, Image<Element>* image) const {
+    *image = file.Points<Element, float>(path, i, grid.pixel.size());
+  }
+  void ReadImage(const std::string& path, std::size_t i, Image<Status>* image) const {
+    *image = file.Statuses(path, i, grid.pixel.size());
+  }
+  void ReadImage(const std::string& path, std::size_t i, Image<Eigen::Matrix2f>* image) const {
+    *image = file.Points<Eigen::Matrix2f, float>(path, i, grid.pixel.size());
+    for (Eigen::Matrix2f& matrix : image->values()) matrix.transposeInPlace();  // row by row there
+  }
+
+  // Version 1 of the format has none: a strain could be missing where there is a surface, at an
+  // edge.
+  static Image<Status> StatusOfOldStrain(const SeriesFrame& frame) {
+    Image<Status> status = frame.surface.status;
+    for (std::size_t k = 0; k < status.pixel_count(); ++k) {
+      const bool there = frame.strain.value.data()[k].allFinite();
+      if (status.data()[k] == Status::kOk && !there) status.data()[k] = Status::kExtrapolated;
+    }
+    return status;
   }
 
   void ReadRecord(const RecordColumns& columns, std::size_t i, SeriesFrame* frame) const {
@@ -177,6 +198,7 @@ const std::string& SeriesReader::grid_points() const { return impl_->attributes.
 const std::string& SeriesReader::displacement_reference() const {
   return impl_->attributes.displacement_reference;
 }
+bool SeriesReader::rigid_motion_removed() const { return impl_->attributes.rigid_motion_removed; }
 const std::string& SeriesReader::strain_measure() const { return impl_->attributes.strain_measure; }
 const std::string& SeriesReader::strain_axes() const { return impl_->attributes.strain_axes; }
 int SeriesReader::vsg_px() const { return impl_->attributes.vsg_px; }

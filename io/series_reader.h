@@ -30,6 +30,7 @@ class SeriesReader {
   // there.
   const std::string& grid_points() const;
   const std::string& displacement_reference() const;
+  bool rigid_motion_removed() const;
   const std::string& strain_measure() const;
   const std::string& strain_axes() const;
   int vsg_px() const;

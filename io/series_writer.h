@@ -38,8 +38,12 @@ struct SeriesHeader {
   // What displacements count from, attribute `reference` of /displacement: "frame N" (SeriesFrame::
   // index), "previous" or "wheel".
   std::string displacement_reference = "frame 0";
-  // Attributes of /strain: the measure, the axes of its components, and the size of the virtual
-  // strain gauge, in the left image and on the surface.
+  // Attribute of /displacement: the rigid motion of the whole surface (/rigid_motion) is taken out.
+  bool rigid_motion_removed = false;
+  // Attributes of /strain: the measure (a name of track/strain_measure.h), what the local x axis of
+  // its components follows ("material": the columns of the grid; "ground": the direction of travel;
+  // or a direction "x,y,z" in the frame of the positions), and the size of the virtual strain
+  // gauge, in the left image and on the surface.
   std::string strain_measure = "green_lagrange";
   std::string strain_axes = "material";
   int vsg_px = 0;
@@ -57,9 +61,9 @@ struct SeriesHeader {
 // of one frame, whatever the length of the run.
 //
 // Numbers of points whose status is not kOk are written as NaN, and so is all that is infinite; a
-// point that claims kOk without a finite position is written as failed_verification. A
-// displacement, strain or velocity that is not finite is written as NaN with its sigmas. What the
-// contents do not name is not written.
+// point that claims kOk without a finite position, or a strain that does without a finite value, is
+// written as failed_verification. A displacement, velocity or match that is not finite is written
+// as NaN with all that goes by it. What the contents do not name is not written.
 //
 // Not thread-safe (one writer, one thread); packs a frame with all of TBB's threads.
 class SeriesWriter {

@@ -47,6 +47,7 @@ std::vector<Wanted> WantedInRig() {
 
 // What both kinds of series hold.
 std::vector<Wanted> WantedInBoth(const PointLayout& layout, std::uint32_t content_bits,
+                                 std::int64_t version,
                                  std::initializer_list<const char*> frame_columns) {
   std::vector<Wanted> wanted = {
       {"/frames/index", {"frames"}}, {"/grid/pixel", {"rows", "columns", "2"}},
@@ -56,8 +57,9 @@ std::vector<Wanted> WantedInBoth(const PointLayout& layout, std::uint32_t conten
     wanted.push_back({std::string("/frames/") + name, {"frames"}});
   }
   for (const PointField& field : layout.fields) {
-    if (!Holds(content_bits, field.needs)) continue;
-    Wanted dataset{field.Path(), {"frames", "rows", "columns"}};
+    const std::string path = field.PathIn(version);
+    if (!Holds(content_bits, field.needs) || path.empty()) continue;
+    Wanted dataset{path, {"frames", "rows", "columns"}};
     if (field.axis->count() > 1) dataset.dimensions.push_back(std::to_string(field.axis->count()));
     wanted.push_back(dataset);
     if (field.also.empty()) continue;
@@ -69,7 +71,7 @@ std::vector<Wanted> WantedInBoth(const PointLayout& layout, std::uint32_t conten
 
 std::vector<Wanted> WantedInPlanarSeries(hid_t file) {
   std::vector<Wanted> wanted =
-      WantedInBoth(PlanarPoints(), BitsOf(ContentsOf<PlanarContents>(file)),
+      WantedInBoth(PlanarPoints(), BitsOf(ContentsOf<PlanarContents>(file)), VersionOf(file),
                    {"time_s", "id", "problem", "dropped_before", "reference_index", "status"});
   wanted.push_back({"/camera/image_size", {"2"}});
   wanted.push_back({"/camera/noise_offset", {}});
@@ -80,7 +82,7 @@ std::vector<Wanted> WantedInPlanarSeries(hid_t file) {
 std::vector<Wanted> WantedInSeries(hid_t file) {
   const auto contents = ContentsOf<SeriesContents>(file);
   std::vector<Wanted> wanted = WantedInBoth(
-      StereoPoints(), BitsOf(contents),
+      StereoPoints(), BitsOf(contents), VersionOf(file),
       {"time_s", "left_id", "right_id", "problem", "dropped_before", "status", "surface_frame"});
   for (const RecordGroup& group : RecordGroups()) {
     if (!Holds(contents, group.needs)) continue;
@@ -299,14 +301,22 @@ void CheckSeriesGroups(hid_t file, LayoutCheck* check) {
     check->Try([&] { hdf5::OpenGroup(file, "/channels"); });
   }
   CheckNexusGroups(file, {"/frames", "/grid", "/surface", "/ground"},
-                   {"/displacement", "/strain", "/wheel", "/patch", "/slip"}, check);
+                   {"/displacement", "/strain", "/wheel", "/patch", "/slip", "/match", "/velocity",
+                    "/rigid_motion", "/rig_watch"},
+                   check);
   for (const PointGroupFacts& group : StereoPoints().groups) {
     if (!group.in_surface_frame) continue;
     const std::string path(group.path);
     check->Try([&] { check->Attributes(path, {"frame"}); });
     check->Try([&] { check->Attributes(path + "/" + std::string(group.signal), {"frame"}); });
   }
-  check->Try([&] { check->Attributes("/strain", {"measure", "strain_axes", "vsg_px", "vsg_mm"}); });
+  check->Try([&] { check->Attributes("/rigid_motion", {"frame"}); });
+  check->Try([&] { check->Attributes("/strain", {"vsg_px", "vsg_mm"}); });
+  check->Try([&] { check->AttributeText("/strain", "measure", IsStrainMeasure); });
+  check->Try([&] { check->AttributeText("/strain", "strain_axes", IsStrainAxes); });
+  if (VersionOf(file) >= 2) {
+    check->Try([&] { check->Attributes("/displacement", {"rigid_motion_removed"}); });
+  }
   check->Try([&] { check->Attributes("/slip", {"convention"}); });
   check->Try([&] { check->AttributeText("/grid", "points", IsGridPoints); });
   check->Try([&] { check->AttributeText("/displacement", "reference", IsDisplacementReference); });

@@ -124,11 +124,6 @@ bool IsPlanarReference(const std::string& text) {
   return text == "image" || (text != "wheel" && IsDisplacementReference(text));
 }
 
-bool IsStrainMeasure(const std::string& text) {
-  constexpr std::array<const char*, 4> known = {"green_lagrange", "small", "hencky", "almansi"};
-  return std::find(known.begin(), known.end(), text) != known.end();
-}
-
 void CheckPlanarHeader(const PlanarSeriesHeader& header) {
   Require(header.grid.width > 0 && header.grid.height > 0, "grid is empty");
   Require(header.step_px >= 1, "step_px is less than 1");

@@ -18,8 +18,7 @@ void WritePlanarHeader(const std::filesystem::path& file, const PlanarSeriesHead
 // All of it but the recipe and the inputs. Throws hdf5::Error.
 PlanarSeriesHeader ReadPlanarHeader(hid_t file, const GridFacts& grid);
 
-// What the attributes `reference` of /displacement and `measure` of /strain may say.
+// What the attribute `reference` of /displacement may say.
 bool IsPlanarReference(const std::string& text);
-bool IsStrainMeasure(const std::string& text);
 
 }  // namespace plumbline::internal

@@ -20,18 +20,11 @@ constexpr std::array<PointGroupFacts, kPlanarGroupCount> kGroups = {{
 }};
 
 constexpr std::array<std::string_view, 2> kUvNames = {"u", "v"};
-constexpr std::array<std::string_view, 3> kUvTensorNames = {"uu", "uv", "vv"};
-constexpr std::array<std::string_view, 4> kGradientNames = {"du/dx", "du/dy", "dv/dx", "dv/dy"};
 constexpr std::array<std::string_view, 10> kGradientTensorNames = {
     "du/dx du/dx", "du/dx du/dy", "du/dx dv/dx", "du/dx dv/dy", "du/dy du/dy",
     "du/dy dv/dx", "du/dy dv/dy", "dv/dx dv/dx", "dv/dx dv/dy", "dv/dy dv/dy"};
-constexpr std::array<std::string_view, 6> kStrainTensorNames = {"xx xx", "xx yy", "xx xy",
-                                                                "yy yy", "yy xy", "xy xy"};
 constexpr ComponentAxis kUv{"component", kUvNames};
-constexpr ComponentAxis kUvTensor{"covariance_component", kUvTensorNames};
-constexpr ComponentAxis kGradient{"gradient_component", kGradientNames};
 constexpr ComponentAxis kGradientTensor{"gradient_covariance_component", kGradientTensorNames};
-constexpr ComponentAxis kStrainTensor{"covariance_component", kStrainTensorNames};
 
 constexpr std::array kFields = {
     F{kPlanarDisplacement, Part::kValue, "/displacement/value", &kUv, "pixel",

@@ -116,6 +116,7 @@ std::vector<std::size_t> FieldsOf(const PointLayout& layout, const SeriesShape& 
         source.SizeOf(layout.FieldOf(field.group, PointPart::kValue)) == ImageSize{}) {
       continue;
     }
+    if (field.optional && source.SizeOf(field) == ImageSize{}) continue;
     if (source.SizeOf(field) != shape.grid()) {
       throw std::invalid_argument("SeriesWriter: what " + field.Path() +
                                   " is to hold is not of the size of the grid");

@@ -31,8 +31,20 @@ enum class PointPart : std::uint8_t {
   kCombined,
   kPrincipal,
   kPrincipalRandom,
+  kPrincipalCalibration,
+  kPrincipalCombined,
   kPrincipalAngle,
   kPrincipalAngleRandom,
+  kPrincipalAngleCalibration,
+  kPrincipalAngleCombined,
+  kMaxShear,
+  kMaxShearRandom,
+  kMaxShearCalibration,
+  kMaxShearCombined,
+  kVonMises,
+  kVonMisesRandom,
+  kVonMisesCalibration,
+  kVonMisesCombined,
   kCovariance,
   kCorrelation,
   kEpipolar,
@@ -41,6 +53,12 @@ enum class PointPart : std::uint8_t {
   kGradientCovariance,
   kIterations,
   kStatus,
+  // Of the match in the right image, and how much of a match's variance the reference image has.
+  kRightValue,
+  kRightGradient,
+  kRightCovariance,
+  kShare,
+  kRightShare,
 };
 
 enum class PointType : std::uint8_t { kFloat, kDouble, kByte, kStatus };
@@ -51,7 +69,7 @@ struct PointGroupFacts {
   std::string_view path;
   std::string_view signal;  // the dataset of the vectors
   std::string_view what;    // they are
-  std::uint32_t needs;      // bit of the contents; 0: every series holds it
+  std::uint32_t needs;      // bits of the contents, all of them; 0: every series holds it
   bool in_surface_frame;    // their components are along the axes of Surface::frame
   // It has a status of its own, and its vectors are numbers exactly where that is ok. Else it goes
   // by the status of the group before it, and its vectors may be missing where that is ok.
@@ -68,9 +86,17 @@ struct PointField {
   std::string_view long_name;
   std::uint32_t needs = 0;  // as above
   PointType type = PointType::kFloat;
-  std::string_view also = {};  // a second link to the dataset; empty: none
+  std::string_view also = {};    // a second link to the dataset; empty: none
+  std::int64_t since = 1;        // version of the format
+  std::string_view before = {};  // its path in version 1; empty: the same
+  bool optional = false;         // a frame may have none, though it has the group's vectors
 
   std::string Path() const { return std::string(path); }
+  // Where a file of that version has it; empty: it does not.
+  std::string PathIn(std::int64_t version) const {
+    if (version < since) return "";
+    return std::string(version < 2 && !before.empty() ? before : path);
+  }
 };
 
 // All that a kind of series holds of points, in the order of the file.
@@ -83,9 +109,9 @@ struct PointLayout {
   const PointField& FieldOf(std::uint8_t group, PointPart part) const;
 };
 
-// needs: bit of the contents; 0: every series holds it.
+// needs: bits of the contents, all of them; 0: every series holds it.
 inline bool Holds(std::uint32_t content_bits, std::uint32_t needs) {
-  return needs == 0 || (content_bits & needs) != 0;
+  return (content_bits & needs) == needs;
 }
 
 // Size of the grid, how it is cut (a chunk holds `band_rows` rows of one frame), and what is held.

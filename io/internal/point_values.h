@@ -38,6 +38,14 @@ void PutValues(const Vector& vector, bool there, std::uint8_t* to) {
 inline constexpr std::array<std::string_view, 3> kPlaneTensorNames = {"xx", "yy", "xy"};
 inline constexpr std::array<std::string_view, 2> kPrincipalNames = {"first", "second"};
 inline constexpr ComponentAxis kPlaneTensor{"component", kPlaneTensorNames};
+inline constexpr std::array<std::string_view, 3> kUvTensorNames = {"uu", "uv", "vv"};
+inline constexpr std::array<std::string_view, 4> kGradientNames = {"du/dx", "du/dy", "dv/dx",
+                                                                   "dv/dy"};
+inline constexpr std::array<std::string_view, 6> kStrainTensorNames = {"xx xx", "xx yy", "xx xy",
+                                                                       "yy yy", "yy xy", "xy xy"};
+inline constexpr ComponentAxis kUvTensor{"covariance_component", kUvTensorNames};
+inline constexpr ComponentAxis kGradient{"gradient_component", kGradientNames};
+inline constexpr ComponentAxis kStrainTensor{"covariance_component", kStrainTensorNames};
 inline constexpr ComponentAxis kPrincipals{"principal_component", kPrincipalNames};
 
 inline constexpr std::string_view kStatusLongName = "why there is no value here, or ok";

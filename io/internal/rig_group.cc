@@ -223,9 +223,9 @@ StereoRig ReadRigGroup(hid_t file) {
 }
 
 void WriteRootAttributes(hid_t file, const std::string& format, const std::string& recipe_toml,
-                         const std::string& inputs) {
+                         const std::string& inputs, std::int64_t format_version) {
   hdf5::SetText(file, "format", format);
-  hdf5::SetInteger(file, "format_version", kFormatVersion);
+  hdf5::SetInteger(file, "format_version", format_version);
   hdf5::SetText(file, "created", TimestampNow());
   hdf5::SetText(file, "software", SoftwareVersion());
   hdf5::SetText(file, "recipe", recipe_toml);

@@ -14,8 +14,9 @@ StereoRig ReadRigGroup(hid_t file);
 // Root attributes that every results file has; `inputs` is what DescribeInputs() gives, or "" to
 // leave it for later.
 void WriteRootAttributes(hid_t file, const std::string& format, const std::string& recipe_toml,
-                         const std::string& inputs);
+                         const std::string& inputs, std::int64_t format_version = 1);
 
-inline constexpr std::int64_t kFormatVersion = 1;
+// The newest that is read. 2: the series of a stereo rig, since its strain has a status of its own.
+inline constexpr std::int64_t kFormatVersion = 2;
 
 }  // namespace plumbline::internal

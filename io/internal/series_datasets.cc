@@ -3,6 +3,8 @@
 #include <algorithm>
 #include <numeric>
 
+#include "io/internal/rig_group.h"
+
 namespace plumbline::internal {
 namespace {
 
@@ -20,6 +22,13 @@ void WriteIndexAxis(hid_t file, const std::string& path, const std::string& labe
 }  // namespace
 
 bool IsPlanar(hid_t file) { return hdf5::GetText(file, "geometry") == kPlanar; }
+
+std::int64_t VersionOf(hid_t file) {
+  const double version = hdf5::GetNumber(file, "format_version", 1);
+  return version >= 1 && version <= static_cast<double>(kFormatVersion)
+             ? static_cast<std::int64_t>(version)
+             : 1;
+}
 
 void WriteNameAxis(hid_t file, const std::string& path, const std::string& label,
                    const std::string& long_name, const std::vector<std::string>& names) {

@@ -19,6 +19,9 @@ namespace plumbline::internal {
 inline constexpr const char* kPlanar = "planar";
 bool IsPlanar(hid_t file);
 
+// Root attribute `format_version`; 1 where it is none that is read.
+std::int64_t VersionOf(hid_t file);
+
 // What a series holds, by the groups that are there.
 template <typename Contents>
 Contents ContentsOf(hid_t file) {

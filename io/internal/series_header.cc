@@ -2,7 +2,9 @@
 
 #include <fmt/format.h>
 
+#include <algorithm>
 #include <cmath>
+#include <cstdio>
 #include <set>
 #include <stdexcept>
 
@@ -10,6 +12,7 @@
 #include "io/internal/hdf5.h"
 #include "io/internal/rig_group.h"
 #include "io/internal/series_datasets.h"
+#include "track/strain_measure.h"
 
 namespace plumbline::internal {
 namespace {
@@ -21,6 +24,7 @@ void WriteGroupAttributes(hid_t file, const SeriesHeader& header) {
   if (header.contents.displacement) {
     const Id group = hdf5::CreateGroup(file, "/displacement");
     hdf5::SetText(group.get(), "reference", header.displacement_reference);
+    hdf5::SetInteger(group.get(), "rigid_motion_removed", header.rigid_motion_removed ? 1 : 0);
   }
   if (header.contents.strain) {
     const Id group = hdf5::CreateGroup(file, "/strain");
@@ -100,6 +104,19 @@ bool IsDisplacementReference(const std::string& text) {
          text.find_first_not_of("0123456789", frame.size()) == std::string::npos;
 }
 
+bool IsStrainMeasure(const std::string& text) {
+  return std::find(kStrainMeasureNames.begin(), kStrainMeasureNames.end(), text) !=
+         kStrainMeasureNames.end();
+}
+
+bool IsStrainAxes(const std::string& text) {
+  if (text == "material" || text == "ground") return true;
+  Eigen::Vector3d axis;
+  int used = 0;
+  return std::sscanf(text.c_str(), "%lf,%lf,%lf%n", &axis[0], &axis[1], &axis[2], &used) == 3 &&
+         static_cast<std::size_t>(used) == text.size() && axis.allFinite() && axis.norm() > 0;
+}
+
 void CheckSeriesHeader(const SeriesHeader& header) {
   if (!IsGridPoints(header.grid_points)) {
     throw std::invalid_argument("SeriesHeader::grid_points is neither image nor material: " +
@@ -109,6 +126,15 @@ void CheckSeriesHeader(const SeriesHeader& header) {
     throw std::invalid_argument(
         "SeriesHeader::displacement_reference is none of frame N, previous, wheel: " +
         header.displacement_reference);
+  }
+  if (!IsStrainMeasure(header.strain_measure)) {
+    throw std::invalid_argument("SeriesHeader::strain_measure is none of those known: " +
+                                header.strain_measure);
+  }
+  if (!IsStrainAxes(header.strain_axes)) {
+    throw std::invalid_argument(
+        "SeriesHeader::strain_axes is none of material, ground and a direction x,y,z: " +
+        header.strain_axes);
   }
   std::set<std::string> names;
   for (const Channel& channel : header.channels) {
@@ -121,7 +147,7 @@ void CheckSeriesHeader(const SeriesHeader& header) {
 
 void WriteSeriesHeader(const std::filesystem::path& path, const SeriesHeader& header) {
   Id file = hdf5::CreateFile(path);
-  WriteRootAttributes(file.get(), "plumbline-series", header.recipe_toml, "");
+  WriteRootAttributes(file.get(), "plumbline-series", header.recipe_toml, "", kFormatVersion);
   hdf5::SetText(file.get(), "default", "surface");
   WriteRigGroup(file.get(), header.rig, header.rig_extras);
   const Id grid = WriteGrid(

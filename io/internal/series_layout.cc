@@ -1,11 +1,13 @@
 #include "io/internal/series_layout.h"
 
 #include <cmath>
-#include <limits>
-#include <stdexcept>
+#include <optional>
+#include <type_traits>
 
 #include "io/internal/point_values.h"
+#include "io/internal/series_images.h"
 #include "io/internal/series_records.h"
+#include "track/strain_measure.h"
 
 namespace plumbline::internal {
 namespace {
@@ -19,19 +21,39 @@ constexpr std::string_view kCommonSigma =
 constexpr std::uint32_t kAlways = 0, kWithCovariance = BitOf(&SeriesContents::covariance),
                         kMoved = BitOf(&SeriesContents::displacement),
                         kStrained = BitOf(&SeriesContents::strain),
-                        kSlipped = BitOf(&SeriesContents::slip);
+                        kSlipped = BitOf(&SeriesContents::slip),
+                        kMoving = BitOf(&SeriesContents::velocity),
+                        kMatched = BitOf(&SeriesContents::matches);
 
 constexpr std::array<PointGroupFacts, kPointGroupCount> kGroups = {{
     {"/surface", "position", "position", kAlways, true, true},
     {"/displacement", "value", "displacement", kMoved, true, false},
-    {"/strain", "green_lagrange", "strain", kStrained, false, false},
     {"/slip", "velocity", "velocity", kSlipped, true, false},
+    {"/velocity", "value", "velocity", kMoving, true, false},
+    {"/match", "left_displacement", "match", kMatched, false, false},
+    {"/strain", "value", "strain", kStrained, false, true},
 }};
 
+constexpr std::array<std::string_view, 2> kXyNames = {"x", "y"};
+constexpr ComponentAxis kXy{"component", kXyNames};
 constexpr std::array<std::string_view, 3> kXyzNames = {"x", "y", "z"};
 constexpr std::array<std::string_view, 6> kSpaceTensorNames = {"xx", "xy", "xz", "yy", "yz", "zz"};
 constexpr ComponentAxis kXyz{"component", kXyzNames};
 constexpr ComponentAxis kSpaceTensor{"covariance_component", kSpaceTensorNames};
+
+// A field that the first version of the format has not.
+constexpr F New(F field) {
+  field.since = 2;
+  return field;
+}
+constexpr F NewOptional(F field) {
+  field.optional = true;
+  return New(field);
+}
+constexpr F Renamed(F field, std::string_view before) {
+  field.before = before;
+  return field;
+}
 
 constexpr std::array kFields = {
     F{kSurface, Part::kValue, "/surface/position", &kXyz, "mm", "position of the surface point"},
@@ -54,29 +76,117 @@ constexpr std::array kFields = {
       kCommonSigma, kMoved},
     F{kDisplacement, Part::kCombined, "/displacement/value_errors", &kXyz, "mm", kCombinedSigma,
       kMoved},
-    F{kStrain, Part::kValue, "/strain/green_lagrange", &kPlaneTensor, "1",
-      "Green-Lagrange strain in the local axes of the surface: xx, yy, xy (tensor shear)",
-      kStrained},
-    F{kStrain, Part::kRandom, "/strain/green_lagrange_errors_random", &kPlaneTensor, "1",
-      kRandomSigma, kStrained},
-    F{kStrain, Part::kCalibration, "/strain/green_lagrange_errors_calibration", &kPlaneTensor, "1",
-      kCommonSigma, kStrained},
-    F{kStrain, Part::kCombined, "/strain/green_lagrange_errors", &kPlaneTensor, "1", kCombinedSigma,
-      kStrained},
-    F{kStrain, Part::kPrincipal, "/strain/principal", &kPrincipals, "1", kPrincipalLongName,
-      kStrained},
-    F{kStrain, Part::kPrincipalAngle, "/strain/angle", &kOneNumber, "rad",
-      "angle of the first principal direction from the local x axis towards y", kStrained},
     F{kSlip, Part::kValue, "/slip/velocity", &kXyz, "mm/s",
       "velocity of the surface point over the ground", kSlipped},
     F{kSlip, Part::kRandom, "/slip/velocity_errors_random", &kXyz, "mm/s", kRandomSigma, kSlipped},
     F{kSlip, Part::kCalibration, "/slip/velocity_errors_calibration", &kXyz, "mm/s", kCommonSigma,
       kSlipped},
     F{kSlip, Part::kCombined, "/slip/velocity_errors", &kXyz, "mm/s", kCombinedSigma, kSlipped},
+    F{kVelocity, Part::kValue, "/velocity/value", &kXyz, "mm/s", "velocity of the surface point",
+      kMoving},
+    F{kVelocity, Part::kRandom, "/velocity/value_errors_random", &kXyz, "mm/s", kRandomSigma,
+      kMoving},
+    F{kVelocity, Part::kCalibration, "/velocity/value_errors_calibration", &kXyz, "mm/s",
+      kCommonSigma, kMoving},
+    F{kVelocity, Part::kCombined, "/velocity/value_errors", &kXyz, "mm/s", kCombinedSigma, kMoving},
+    F{kMatch, Part::kValue, "/match/left_displacement", &kXy, "pixel",
+      "pixel in the left image now, less that of the grid", kMatched},
+    F{kMatch, Part::kRightValue, "/match/right_displacement", &kXy, "pixel",
+      "pixel in the right image now, less that of the grid", kMatched},
+    F{kMatch, Part::kGradient, "/match/left_gradient", &kGradient, "1",
+      "gradient of left_displacement along x and y of the reference image", kMatched},
+    F{kMatch, Part::kRightGradient, "/match/right_gradient", &kGradient, "1",
+      "gradient of right_displacement along x and y of the reference image", kMatched},
+    F{kMatch, Part::kCovariance, "/match/left_covariance", &kUvTensor, "pixel2",
+      "random covariance of left_displacement: uu, uv, vv", kMatched},
+    F{kMatch, Part::kRightCovariance, "/match/right_covariance", &kUvTensor, "pixel2",
+      "random covariance of right_displacement: uu, uv, vv", kMatched},
+    F{kMatch, Part::kShare, "/match/left_share", &kOneNumber, "1",
+      "share of left_covariance that comes from the noise of the reference image", kMatched},
+    F{kMatch, Part::kRightShare, "/match/right_share", &kOneNumber, "1",
+      "share of right_covariance that comes from the noise of the reference image", kMatched},
+    Renamed({kStrain, Part::kValue, "/strain/value", &kPlaneTensor, "1",
+             "strain in the local axes of the surface, of the group's measure: xx, yy, xy (tensor "
+             "shear)",
+             kStrained},
+            "/strain/green_lagrange"),
+    Renamed({kStrain, Part::kRandom, "/strain/value_errors_random", &kPlaneTensor, "1",
+             kRandomSigma, kStrained},
+            "/strain/green_lagrange_errors_random"),
+    Renamed({kStrain, Part::kCalibration, "/strain/value_errors_calibration", &kPlaneTensor, "1",
+             kCommonSigma, kStrained},
+            "/strain/green_lagrange_errors_calibration"),
+    Renamed({kStrain, Part::kCombined, "/strain/value_errors", &kPlaneTensor, "1", kCombinedSigma,
+             kStrained},
+            "/strain/green_lagrange_errors"),
+    New({kStrain, Part::kCovariance, "/strain/covariance", &kStrainTensor, "1",
+         "random covariance of the strain, upper triangle row by row",
+         kStrained | kWithCovariance}),
+    F{kStrain, Part::kPrincipal, "/strain/principal", &kPrincipals, "1", kPrincipalLongName,
+      kStrained},
+    NewOptional({kStrain, Part::kPrincipalRandom, "/strain/principal_errors_random", &kPrincipals,
+                 "1", kRandomSigma, kStrained}),
+    NewOptional({kStrain, Part::kPrincipalCalibration, "/strain/principal_errors_calibration",
+                 &kPrincipals, "1", kCommonSigma, kStrained}),
+    NewOptional({kStrain, Part::kPrincipalCombined, "/strain/principal_errors", &kPrincipals, "1",
+                 kCombinedSigma, kStrained}),
+    F{kStrain, Part::kPrincipalAngle, "/strain/angle", &kOneNumber, "rad",
+      "angle of the first principal direction from the local x axis towards y", kStrained},
+    NewOptional({kStrain, Part::kPrincipalAngleRandom, "/strain/angle_errors_random", &kOneNumber,
+                 "rad", kRandomSigma, kStrained}),
+    NewOptional({kStrain, Part::kPrincipalAngleCalibration, "/strain/angle_errors_calibration",
+                 &kOneNumber, "rad", kCommonSigma, kStrained}),
+    NewOptional({kStrain, Part::kPrincipalAngleCombined, "/strain/angle_errors", &kOneNumber, "rad",
+                 kCombinedSigma, kStrained}),
+    New({kStrain, Part::kMaxShear, "/strain/max_shear", &kOneNumber, "1",
+         "largest shear in the surface (of the tensor): half the difference of the principal "
+         "strains",
+         kStrained}),
+    NewOptional({kStrain, Part::kMaxShearRandom, "/strain/max_shear_errors_random", &kOneNumber,
+                 "1", kRandomSigma, kStrained}),
+    NewOptional({kStrain, Part::kMaxShearCalibration, "/strain/max_shear_errors_calibration",
+                 &kOneNumber, "1", kCommonSigma, kStrained}),
+    NewOptional({kStrain, Part::kMaxShearCombined, "/strain/max_shear_errors", &kOneNumber, "1",
+                 kCombinedSigma, kStrained}),
+    New({kStrain, Part::kVonMises, "/strain/von_mises", &kOneNumber, "1",
+         "von Mises equivalent strain, of a material that keeps its volume", kStrained}),
+    NewOptional({kStrain, Part::kVonMisesRandom, "/strain/von_mises_errors_random", &kOneNumber,
+                 "1", kRandomSigma, kStrained}),
+    NewOptional({kStrain, Part::kVonMisesCalibration, "/strain/von_mises_errors_calibration",
+                 &kOneNumber, "1", kCommonSigma, kStrained}),
+    NewOptional({kStrain, Part::kVonMisesCombined, "/strain/von_mises_errors", &kOneNumber, "1",
+                 kCombinedSigma, kStrained}),
+    New({kStrain, Part::kStatus, "/strain/status", &kOneNumber, "1", kStatusLongName, kStrained,
+         PointType::kStatus}),
 };
 
-Status StatusAt(const Surface& surface, std::size_t i) {
-  return StatusOf(surface.status.data()[i], surface.position_mm.data()[i]);
+// The random and the calibration sigma that a combined one is made of; nothing: it is none.
+std::optional<std::array<Part, 2>> SigmasOf(Part combined) {
+  switch (combined) {
+    case Part::kCombined:
+      return {{Part::kRandom, Part::kCalibration}};
+    case Part::kPrincipalCombined:
+      return {{Part::kPrincipalRandom, Part::kPrincipalCalibration}};
+    case Part::kPrincipalAngleCombined:
+      return {{Part::kPrincipalAngleRandom, Part::kPrincipalAngleCalibration}};
+    case Part::kMaxShearCombined:
+      return {{Part::kMaxShearRandom, Part::kMaxShearCalibration}};
+    case Part::kVonMisesCombined:
+      return {{Part::kVonMisesRandom, Part::kVonMisesCalibration}};
+    default:
+      return std::nullopt;
+  }
+}
+
+// A point's value as the numbers of its dataset, matrices row by row.
+Eigen::Matrix<float, 1, 1> Numbers(float value) { return Eigen::Matrix<float, 1, 1>(value); }
+Eigen::Matrix<float, 1, 1> Numbers(Status code) { return Numbers(static_cast<float>(code)); }
+template <int N>
+const Eigen::Matrix<float, N, 1>& Numbers(const Eigen::Matrix<float, N, 1>& value) {
+  return value;
+}
+Eigen::Vector4f Numbers(const Eigen::Matrix2f& value) {
+  return {value(0, 0), value(0, 1), value(1, 0), value(1, 1)};
 }
 
 class StereoSource : public PointSource {
@@ -84,66 +194,90 @@ class StereoSource : public PointSource {
   explicit StereoSource(const SeriesFrame& frame) : frame_(frame) {}
 
   ImageSize SizeOf(const PointField& field) const override {
-    const auto images = VectorImages(frame_, static_cast<PointGroup>(field.group));
-    const Surface& s = frame_.surface;
-    switch (field.part) {
-      case Part::kRandom:
-        return images[1]->size();
-      case Part::kCalibration:
-        return images[2]->size();
-      case Part::kCovariance:
-        return s.cov_random_mm2.size();
-      case Part::kCorrelation:
-        return s.correlation.size();
-      case Part::kEpipolar:
-        return s.epipolar_px.size();
-      case Part::kStatus:
-        return s.status.size();
-      default:
-        return images[0]->size();
+    if (const auto sigmas = SigmasOf(field.part)) {
+      const ImageSize random = SizeOf(FieldOf(field.group, (*sigmas)[0]));
+      return random == SizeOf(FieldOf(field.group, (*sigmas)[1])) ? random : ImageSize{};
     }
+    std::optional<ImageSize> own;
+    VisitImage(frame_, field, [&](const auto& image) { own = image.size(); });
+    return own ? *own : SizeOf(FieldOf(field.group, Part::kValue));
   }
 
   void Gather(const PointField& field, std::size_t first, std::size_t last,
               std::uint8_t* to) const override {
-    for (std::size_t i = first; i < last; ++i) {
-      GatherPoint(field, i, to + (i - first) * field.axis->count() * BytesOf(field.type));
+    const std::size_t bytes = field.axis->count() * BytesOf(field.type);
+    const auto put = [&](const auto& number_of) {
+      const std::vector<bool> there = Where(field, first, last);
+      for (std::size_t i = first; i < last; ++i) {
+        PutValues(number_of(i), there[i - first], to + (i - first) * bytes);
+      }
+    };
+    if (const auto sigmas = SigmasOf(field.part)) {
+      VisitImage(frame_, FieldOf(field.group, (*sigmas)[0]), [&](const auto& a) {
+        VisitImage(frame_, FieldOf(field.group, (*sigmas)[1]), [&](const auto& b) {
+          if constexpr (std::is_same_v<decltype(a), decltype(b)>) {
+            put([&](std::size_t i) { return Combined(a, b, i); });
+          }
+        });
+      });
+      return;
+    }
+    switch (field.part) {
+      case Part::kStatus:
+        for (std::size_t i = first; i < last; ++i) {
+          to[i - first] = static_cast<std::uint8_t>(StatusAt(field.group, i));
+        }
+        return;
+      case Part::kPrincipal:
+        return put([&](std::size_t i) { return PrincipalOf(Strain(i)).strain; });
+      case Part::kPrincipalAngle:
+        return put([&](std::size_t i) { return Numbers(PrincipalOf(Strain(i)).angle_rad); });
+      case Part::kMaxShear:
+        return put([&](std::size_t i) {
+          return Numbers(static_cast<float>(InvariantsOf(Strain(i).cast<double>()).max_shear));
+        });
+      case Part::kVonMises:
+        return put([&](std::size_t i) {
+          return Numbers(static_cast<float>(InvariantsOf(Strain(i).cast<double>()).von_mises));
+        });
+      default:
+        VisitImage(frame_, field, [&](const auto& image) {
+          put([&](std::size_t i) { return Numbers(image.data()[i]); });
+        });
     }
   }
 
  private:
-  void GatherPoint(const PointField& field, std::size_t i, std::uint8_t* to) const {
-    const Surface& s = frame_.surface;
-    const auto images = VectorImages(frame_, static_cast<PointGroup>(field.group));
-    const Eigen::Vector3f& value = images[0]->data()[i];
-    const bool there = StatusAt(s, i) == Status::kOk && value.allFinite();
-    switch (field.part) {
-      case Part::kValue:
-        return PutValues(value, there, to);
-      case Part::kRandom:
-        return PutValues(images[1]->data()[i], there, to);
-      case Part::kCalibration:
-        return PutValues(images[2]->data()[i], there, to);
-      case Part::kCombined: {
-        const Eigen::Vector3f& a = images[1]->data()[i];
-        const Eigen::Vector3f& b = images[2]->data()[i];
-        return PutValues(Eigen::Vector3f((a.cwiseAbs2() + b.cwiseAbs2()).cwiseSqrt()), there, to);
+  template <typename Element>
+  static auto Combined(const Image<Element>& a, const Image<Element>& b, std::size_t i) {
+    const auto random = Numbers(a.data()[i]), calibration = Numbers(b.data()[i]);
+    return (random.cwiseAbs2() + calibration.cwiseAbs2()).cwiseSqrt().eval();
+  }
+
+  const Eigen::Vector3f& Strain(std::size_t i) const { return frame_.strain.value.data()[i]; }
+
+  Status StatusAt(std::uint8_t group, std::size_t i) const {
+    return group == kStrain
+               ? StatusOf(frame_.strain.status.data()[i], Strain(i))
+               : StatusOf(frame_.surface.status.data()[i], frame_.surface.position_mm.data()[i]);
+  }
+
+  // Which points have a number in the field, as far as their status and their vector say.
+  std::vector<bool> Where(const PointField& field, std::size_t first, std::size_t last) const {
+    std::vector<bool> there(last - first, true);
+    // Of the match, which may tell something where it failed.
+    if (field.part == Part::kCorrelation || field.part == Part::kEpipolar) return there;
+    VisitImage(frame_, FieldOf(field.group, Part::kValue), [&](const auto& vectors) {
+      for (std::size_t i = first; i < last; ++i) {
+        there[i - first] =
+            StatusAt(field.group, i) == Status::kOk && Numbers(vectors.data()[i]).allFinite();
       }
-      case Part::kPrincipal:
-        return PutValues(PrincipalOf(value).strain, there, to);
-      case Part::kPrincipalAngle:
-        return PutValue(PrincipalOf(value).angle_rad, there, to);
-      case Part::kCovariance:
-        return PutValues(s.cov_random_mm2.data()[i], there, to);
-      case Part::kStatus:
-        *to = static_cast<std::uint8_t>(StatusAt(s, i));
-        return;
-      // Of the match, which may tell something where it failed.
-      case Part::kCorrelation:
-        return PutValue(s.correlation.data()[i], true, to);
-      default:
-        return PutValue(s.epipolar_px.data()[i], true, to);
-    }
+    });
+    return there;
+  }
+
+  static const PointField& FieldOf(std::uint8_t group, Part part) {
+    return StereoPoints().FieldOf(group, part);
   }
 
   const SeriesFrame& frame_;

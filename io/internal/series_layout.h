@@ -16,13 +16,17 @@ namespace plumbline::internal {
 using ContentFlag = bool SeriesContents::*;
 template <>
 struct OptionalContents<SeriesContents> {
-  static constexpr std::array<OptionalContent<SeriesContents>, 6> list = {{
+  static constexpr std::array<OptionalContent<SeriesContents>, 10> list = {{
       {"covariance", "/surface/covariance", &SeriesContents::covariance},
       {"displacement", "/displacement", &SeriesContents::displacement},
       {"strain", "/strain", &SeriesContents::strain},
       {"wheel", "/wheel", &SeriesContents::wheel},
       {"patch", "/patch", &SeriesContents::patch},
       {"slip", "/slip", &SeriesContents::slip},
+      {"matches", "/match", &SeriesContents::matches},
+      {"velocity", "/velocity", &SeriesContents::velocity},
+      {"rigid_motion", "/rigid_motion", &SeriesContents::rigid_motion},
+      {"rig_watch", "/rig_watch", &SeriesContents::rig_watch},
   }};
 };
 
@@ -32,33 +36,17 @@ inline bool Holds(const SeriesContents& contents, ContentFlag needs) {
 }
 
 // Places of the groups in StereoPoints().groups.
-enum PointGroup : std::uint8_t { kSurface, kDisplacement, kStrain, kSlip, kPointGroupCount };
+enum PointGroup : std::uint8_t {
+  kSurface,
+  kDisplacement,
+  kSlip,
+  kVelocity,
+  kMatch,
+  kStrain,
+  kPointGroupCount
+};
 
-// The vectors of a group in a frame, their random and their calibration sigmas.
-template <typename Frame>
-auto VectorImages(Frame& frame, PointGroup group) {
-  using Images = std::array<decltype(&frame.surface.position_mm), 3>;
-  switch (group) {
-    case kDisplacement: {
-      auto& field = frame.displacement;
-      return Images{&field.value_mm, &field.sigma_random_mm, &field.sigma_calibration_mm};
-    }
-    case kStrain: {
-      auto& field = frame.strain;
-      return Images{&field.green_lagrange, &field.sigma_random, &field.sigma_calibration};
-    }
-    case kSlip: {
-      auto& field = frame.slip;
-      return Images{&field.velocity_mm_s, &field.sigma_random_mm_s, &field.sigma_calibration_mm_s};
-    }
-    default: {
-      auto& field = frame.surface;
-      return Images{&field.position_mm, &field.sigma_random_mm, &field.sigma_calibration_mm};
-    }
-  }
-}
-
-// Of points: /surface, /displacement, /strain, /slip.
+// Of points: /surface, /displacement, /slip, /velocity, /match, /strain.
 const PointLayout& StereoPoints();
 
 SeriesShape StereoShape(ImageSize grid, const SeriesContents& contents);

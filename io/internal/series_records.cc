@@ -20,6 +20,7 @@ Eigen::MatrixXd ToMatrix(const Eigen::Matrix<double, R, C>& value) {
 }
 
 void FromMatrix(const Eigen::MatrixXd& matrix, double* value) { *value = matrix(0, 0); }
+void FromMatrix(const Eigen::MatrixXd& matrix, bool* value) { *value = matrix(0, 0) > 0; }
 template <int R, int C>
 void FromMatrix(const Eigen::MatrixXd& matrix, Eigen::Matrix<double, R, C>* value) {
   *value = matrix;
@@ -58,6 +59,16 @@ class GroupBuilder {
       FromMatrix(matrix, &(frame->*record.*value));
     };
     return field;
+  }
+
+  // A rigid motion as a matrix (4, 4).
+  void Motion(const Label& label, Rigid3 Record::*motion) {
+    RecordField& field = Derived(
+        label, [motion](const Record& record) { return (record.*motion).Matrix(); }, {"4", "4"});
+    field.needed = true;
+    field.set = [record = record_, motion](const Eigen::MatrixXd& m, SeriesFrame* frame) {
+      frame->*record.*motion = {m.topLeftCorner<3, 3>(), m.topRightCorner<3, 1>()};
+    };
   }
 
   // A value with both of its sigmas, and what follows from these.
@@ -157,14 +168,10 @@ RecordGroup GroundGroup() {
   add.Stored({"e2", "1", "second axis of the covariances, in the rig frame"}, &G::e2_in_rig, xyz);
   add.Stored({"centroid", "mm", "where the covariances' offset is meant, in the rig frame"},
              &G::centroid_in_rig_mm, xyz);
-  RecordField& motion = add.Derived(
+  add.Motion(
       {"ground_from_rig", "mm",
        "rigid motion from the rig to the ground frame: rotation (without unit), translation in mm"},
-      [](const G& g) { return g.ground_from_rig.Matrix(); }, {"4", "4"});
-  motion.needed = true;
-  motion.set = [](const Eigen::MatrixXd& m, SeriesFrame* frame) {
-    frame->ground.ground_from_rig = {m.topLeftCorner<3, 3>(), m.topRightCorner<3, 1>()};
-  };
+      &G::ground_from_rig);
   const Label angles = {"angles_rad", "rad", "how the rig stands over the ground"};
   add.Derived(angles, [](const G& g) { return AnglesOf(g).angle_rad; }, {"angle"});
   add.DerivedSigmas(angles, &G::cov_random, &G::cov_calibration,
@@ -240,11 +247,83 @@ RecordGroup SlipGroup() {
   return add.Take();
 }
 
+RecordGroup RigidMotionGroup() {
+  using M = RigidMotionRecord;
+  RecordGroup group{"/rigid_motion",
+                    "rigid motion",
+                    "translation",
+                    &SeriesContents::rigid_motion,
+                    {},
+                    {},
+                    {},
+                    {},
+                    {}};
+  group.in_surface_frame = true;
+  group.axes = {Components({"x", "y", "z"})};
+  GroupBuilder<M> add(std::move(group), &SeriesFrame::rigid_motion);
+  add.Measured({"rotation", "rad",
+                "rotation of the whole surface since the reference, axis times angle; with the "
+                "translation: now_from_reference"},
+               &M::rotation_rad, &M::sigma_random_rotation_rad, &M::sigma_calibration_rotation_rad,
+               {"component"}, true);
+  add.Measured({"translation", "mm", "translation of the whole surface since the reference"},
+               &M::translation_mm, &M::sigma_random_translation_mm,
+               &M::sigma_calibration_translation_mm, {"component"}, true);
+  return add.Take();
+}
+
+RecordGroup RigWatchGroup() {
+  using W = RigWatchRecord;
+  RecordGroup group{"/rig_watch",
+                    "pose of the right camera",
+                    "epipolar_rms_px",
+                    &SeriesContents::rig_watch,
+                    {},
+                    {},
+                    {},
+                    {},
+                    {}};
+  group.axes = {{"pose_parameter",
+                 "parameter of the pose",
+                 {"rotation_x_rad", "rotation_y_rad", "rotation_z_rad", "translation_x_mm",
+                  "translation_y_mm", "translation_z_mm"}}};
+  GroupBuilder<W> add(std::move(group), &SeriesFrame::rig_watch);
+  add.Stored({"epipolar_mean_px", "pixel", "mean signed distance from the epipolar lines"},
+             &W::epipolar_mean_px);
+  add.Stored({"epipolar_rms_px", "pixel", "rms distance from the epipolar lines"},
+             &W::epipolar_rms_px)
+      .needed = true;
+  add.Stored({"epipolar_sigma_px", "pixel",
+              "rms distance from the epipolar lines that the noise of the matches lets expect"},
+             &W::epipolar_sigma_px);
+  add.Stored({"chi2_calibration", "1", "chi-squared of this pose less the calibrated one"},
+             &W::chi2_calibration);
+  add.Stored({"chi2_first", "1", "chi-squared of this pose less that of the first frame"},
+             &W::chi2_first);
+  add.Measured({"change", "1",
+                "pose of this frame less the calibrated one: rotation vector in rad, translation "
+                "in mm"},
+               &W::change, &W::sigma_random_change, &W::sigma_calibration_change,
+               {"pose_parameter"});
+  add.Stored({"refined", "1", "1: the pose of this frame was used, 0: the calibrated one"},
+             &W::refined)
+      .needed = true;
+  add.Stored({"alarm", "1", "1: the right camera has moved against the left one, 0: it has not"},
+             &W::alarm)
+      .needed = true;
+  add.Motion(
+      {"right_from_left", "mm",
+       "rigid motion from the left to the right camera that was used in this frame: rotation "
+       "(without unit), translation in mm"},
+      &W::right_from_left);
+  return add.Take();
+}
+
 }  // namespace
 
 const std::vector<RecordGroup>& RecordGroups() {
-  static const std::vector<RecordGroup> groups = {GroundGroup(), WheelGroup(), PatchGroup(),
-                                                  SlipGroup()};
+  static const std::vector<RecordGroup> groups = {
+      GroundGroup(), WheelGroup(), PatchGroup(), SlipGroup(), RigidMotionGroup(), RigWatchGroup()};
   return groups;
 }
 

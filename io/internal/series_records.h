@@ -43,9 +43,10 @@ struct RecordGroup {
   std::function<bool(const SeriesFrame&)> found;
   std::function<std::string(const SeriesFrame&)> problem;
   std::function<void(bool found, std::string problem, SeriesFrame*)> set_found;
+  bool in_surface_frame = false;  // its vectors are along the axes of Surface::frame
 };
 
-// /ground, /wheel, /patch (without its contour) and the numbers of /slip.
+// /ground, /wheel, /patch (without its contour), the numbers of /slip, /rigid_motion, /rig_watch.
 const std::vector<RecordGroup>& RecordGroups();
 
 }  // namespace plumbline::internal

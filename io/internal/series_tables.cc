@@ -73,7 +73,11 @@ void WriteRecords(hid_t file, const RecordGroup& group, const Frames& frames) {
   if (!group.signal.empty()) {
     hdf5::SetText(id.get(), "NX_class", "NXdata");
     hdf5::SetText(id.get(), "signal", group.signal);
-    hdf5::SetTexts(id.get(), "axes", {"frame"});
+    std::vector<std::string> axes = {"frame"};
+    for (const RecordField& field : group.fields) {
+      if (field.name == group.signal) axes.insert(axes.end(), field.axes.begin(), field.axes.end());
+    }
+    hdf5::SetTexts(id.get(), "axes", axes);
     hdf5::HardLink(file, "/frames/index", group.path + "/frame");
   }
   for (const RecordAxis& axis : group.axes) {
@@ -130,6 +134,7 @@ class StereoPacker : public FramePacker {
     if (contours_) contours_->Finish();
     WriteSurfaceFrame(FrameOfPositions(frames_, has_surface_));
     points_.Finish();
+    if (contents_.strain) LinkStrainByMeasure();
   }
 
  private:
@@ -141,6 +146,18 @@ class StereoPacker : public FramePacker {
       const std::string signal = path + "/" + std::string(group.signal);
       hdf5::SetText(hdf5::OpenGroup(file_, path).get(), "frame", name);
       hdf5::SetText(hdf5::OpenDataset(file_, signal).get(), "frame", name);
+    }
+    for (const RecordGroup& group : RecordGroups()) {
+      if (!group.in_surface_frame || !Holds(contents_, group.needs)) continue;
+      hdf5::SetText(hdf5::OpenGroup(file_, group.path).get(), "frame", name);
+    }
+  }
+
+  // The strain goes by the name of its measure too.
+  void LinkStrainByMeasure() {
+    const std::string measure = hdf5::GetText(hdf5::OpenGroup(file_, "/strain").get(), "measure");
+    for (const char* end : {"", "_errors_random", "_errors_calibration", "_errors"}) {
+      hdf5::HardLink(file_, std::string("/strain/value") + end, "/strain/" + measure + end);
     }
   }
 

@@ -40,36 +40,51 @@ Id OpenIfFits(hid_t file, const std::string& path, const Shape& leading) {
   return fits ? std::move(dataset) : Id();
 }
 
-// What a finding calls it, and where it has to hold numbers.
-OpenField Describe(const PointField& field, const PointGroupFacts& group, bool has_modes) {
-  // A mode may bend the rays of a point so far that they no longer meet; it then has a position and
-  // no sigma of the calibration.
-  const Needed by_modes = has_modes ? Needed::kSomewhere : Needed::kNowhere;
-  const std::string what(group.what);
-  switch (field.part) {
-    case PointPart::kValue:
-      return {&field, what, group.has_status ? Needed::kEverywhere : Needed::kNowhere, Id()};
-    case PointPart::kRandom:
-      return {&field, "random sigma of the " + what, Needed::kEverywhere, Id()};
-    case PointPart::kCalibration:
-      return {&field, "calibration sigma of the " + what, by_modes, Id()};
-    case PointPart::kCombined:
-      return {&field, "combined sigma of the " + what, by_modes, Id()};
-    case PointPart::kCovariance:
-      return {&field, "covariance", Needed::kEverywhere, Id()};
-    case PointPart::kPrincipal:
-      return {&field, "principal " + what, Needed::kEverywhere, Id()};
-    case PointPart::kPrincipalRandom:
-      return {&field, "random sigma of the principal " + what, Needed::kNowhere, Id()};
-    case PointPart::kGradient:
-      return {&field, "gradient", Needed::kNowhere, Id()};
-    case PointPart::kGradientRandom:
-      return {&field, "random sigma of the gradient", Needed::kNowhere, Id()};
-    case PointPart::kGradientCovariance:
-      return {&field, "covariance of the gradient", Needed::kNowhere, Id()};
-    default:
-      return {&field, "direction of principal " + what, Needed::kNowhere, Id()};
+// What a finding calls a part of a point, {} being what the group's vectors are, and where it has
+// to hold numbers. A mode may bend the rays of a point so far that they no longer meet; it then has
+// a position and no sigma of the calibration.
+enum class Rule : std::uint8_t { kOptional, kByStatus, kByModes, kAlways };
+struct PartRule {
+  PointPart part;
+  const char* what;
+  Rule rule;
+};
+constexpr std::array kPartRules = {
+    PartRule{PointPart::kValue, "{}", Rule::kByStatus},
+    PartRule{PointPart::kRandom, "random sigma of the {}", Rule::kAlways},
+    PartRule{PointPart::kCalibration, "calibration sigma of the {}", Rule::kByModes},
+    PartRule{PointPart::kCombined, "combined sigma of the {}", Rule::kByModes},
+    PartRule{PointPart::kCovariance, "covariance", Rule::kAlways},
+    PartRule{PointPart::kPrincipal, "principal {}", Rule::kAlways},
+    PartRule{PointPart::kPrincipalRandom, "random sigma of the principal {}", Rule::kOptional},
+    PartRule{PointPart::kPrincipalCalibration, "calibration sigma of the principal {}",
+             Rule::kOptional},
+    PartRule{PointPart::kPrincipalCombined, "combined sigma of the principal {}", Rule::kOptional},
+    PartRule{PointPart::kPrincipalAngle, "direction of principal {}", Rule::kOptional},
+    PartRule{PointPart::kMaxShear, "largest shear", Rule::kAlways},
+    PartRule{PointPart::kVonMises, "von Mises {}", Rule::kAlways},
+    PartRule{PointPart::kGradient, "gradient", Rule::kOptional},
+    PartRule{PointPart::kGradientRandom, "random sigma of the gradient", Rule::kOptional},
+    PartRule{PointPart::kGradientCovariance, "covariance of the gradient", Rule::kOptional},
+    PartRule{PointPart::kRightValue, "{} in the right image", Rule::kAlways},
+    PartRule{PointPart::kRightCovariance, "covariance in the right image", Rule::kAlways},
+};
+
+OpenField Describe(const PointField& field, const PointGroupFacts& group, bool has_status,
+                   bool has_modes) {
+  const auto known = std::find_if(kPartRules.begin(), kPartRules.end(),
+                                  [&](const PartRule& rule) { return rule.part == field.part; });
+  if (known == kPartRules.end()) {
+    return {&field, fmt::format("value of {}", field.path), Needed::kNowhere, Id()};
   }
+  OpenField open{&field, fmt::format(fmt::runtime(known->what), group.what), Needed::kNowhere,
+                 Id()};
+  if (known->rule == Rule::kAlways || (known->rule == Rule::kByStatus && has_status)) {
+    open.needed = Needed::kEverywhere;
+  } else if (known->rule == Rule::kByModes && has_modes) {
+    open.needed = Needed::kSomewhere;
+  }
+  return open;
 }
 
 // Of the match, which may tell something where it failed, or no number.
@@ -78,18 +93,34 @@ bool IsFree(PointPart part) {
          part == PointPart::kEpipolar || part == PointPart::kIterations;
 }
 
-// The fields of a group that go by its vectors, these first. None where the vectors are not there.
-std::vector<OpenField> FieldsOf(hid_t file, const PointLayout& layout, std::size_t group,
-                                const Shape& size, bool has_modes) {
+// What is checked of the points of a group.
+struct OpenGroup {
+  const PointGroupFacts* facts;
+  // The fields that go by the group's vectors, these first. None where the vectors are not there.
   std::vector<OpenField> fields;
-  for (const PointField& field : layout.fields) {
-    if (field.group != group || IsFree(field.part)) continue;
-    OpenField open = Describe(field, layout.groups[group], has_modes);
-    open.dataset = OpenIfFits(file, field.Path(), size);
-    if (open.dataset.get() >= 0) fields.push_back(std::move(open));
+  bool has_status = false;  // of its own, in this version of the format
+  Id status;
+};
+
+OpenGroup OpenGroupOf(hid_t file, const PointLayout& layout, std::size_t group, const Shape& size,
+                      bool has_modes) {
+  const std::int64_t version = VersionOf(file);
+  OpenGroup open{&layout.groups[group], {}, false, Id()};
+  if (open.facts->has_status) {
+    const std::string path =
+        layout.FieldOf(static_cast<std::uint8_t>(group), PointPart::kStatus).PathIn(version);
+    open.has_status = !path.empty();
+    if (open.has_status) open.status = OpenIfFits(file, path, size);
   }
-  if (!fields.empty() && fields[0].field->part != PointPart::kValue) fields.clear();
-  return fields;
+  for (const PointField& field : layout.fields) {
+    const std::string path = field.PathIn(version);
+    if (field.group != group || IsFree(field.part) || path.empty()) continue;
+    OpenField described = Describe(field, *open.facts, open.has_status, has_modes);
+    described.dataset = OpenIfFits(file, path, size);
+    if (described.dataset.get() >= 0) open.fields.push_back(std::move(described));
+  }
+  if (!open.fields.empty() && open.fields[0].field->part != PointPart::kValue) open.fields.clear();
+  return open;
 }
 
 enum class Found : std::uint8_t { kNothing, kNumbers, kPartly, kInfinite };
@@ -140,12 +171,12 @@ void CheckPoints(const std::vector<float>& values, const std::vector<std::uint8_
 // One group of one frame. At a point with the status ok the vectors that this status tells of have
 // to be there, other vectors may be missing; all else of the group has to be there where the vector
 // is.
-void CheckGroup(const PointGroupFacts& group, const std::vector<OpenField>& fields,
-                std::vector<std::uint8_t> expected, hsize_t frame, Findings* findings) {
-  for (const OpenField& field : fields) {
+void CheckGroup(const OpenGroup& group, std::vector<std::uint8_t> expected, hsize_t frame,
+                Findings* findings) {
+  for (const OpenField& field : group.fields) {
     const auto values = hdf5::ReadSlab<float>(field.dataset, frame, kMaxFrameElements);
     const bool is_vector = field.field->part == PointPart::kValue;
-    const std::string what(group.what);
+    const std::string what(group.facts->what);
     CheckPoints(values, expected, field,
                 group.has_status || is_vector ? "status" : "missing " + what, frame, findings);
     if (group.has_status || !is_vector) continue;
@@ -180,28 +211,23 @@ std::vector<std::uint8_t> WhereOk(const PointLayout& layout, const Id& status,
 
 void CheckFieldsOfPoints(hid_t file, const PointLayout& layout, hsize_t frames,
                          Findings* findings) {
-  const auto status_path = [&](std::size_t group) {
-    return layout.FieldOf(static_cast<std::uint8_t>(group), PointPart::kStatus).Path();
-  };
   const Id frame_status = hdf5::OpenDataset(file, "/frames/status");
-  const Shape size = hdf5::ShapeOf(hdf5::OpenDataset(file, status_path(0)));
+  const Shape size =
+      hdf5::ShapeOf(hdf5::OpenDataset(file, layout.FieldOf(0, PointPart::kStatus).Path()));
   if (size.size() != 3 || size[0] != frames || size[1] == 0 || size[2] == 0) return;
   const bool has_modes =
       hdf5::Exists(file, "/rig/mode") &&
       hdf5::ElementCount(hdf5::ShapeOf(hdf5::OpenDataset(file, "/rig/mode"))) > 0;
-  std::vector<std::vector<OpenField>> groups;
-  std::vector<Id> statuses;
+  std::vector<OpenGroup> groups;
   for (std::size_t g = 0; g < layout.groups.size(); ++g) {
-    groups.push_back(FieldsOf(file, layout, g, size, has_modes));
-    statuses.push_back(layout.groups[g].has_status ? OpenIfFits(file, status_path(g), size) : Id());
+    groups.push_back(OpenGroupOf(file, layout, g, size, has_modes));
   }
   for (hsize_t i = 0; i < frames; ++i) {
     std::vector<std::uint8_t> ok;
-    for (std::size_t g = 0; g < groups.size(); ++g) {
-      const bool has_status = layout.groups[g].has_status;
-      if (has_status && statuses[g].get() < 0) continue;
-      if (has_status) ok = WhereOk(layout, statuses[g], frame_status, i, findings);
-      CheckGroup(layout.groups[g], groups[g], ok, i, findings);
+    for (const OpenGroup& group : groups) {
+      if (group.has_status && group.status.get() < 0) continue;
+      if (group.has_status) ok = WhereOk(layout, group.status, frame_status, i, findings);
+      CheckGroup(group, ok, i, findings);
     }
   }
 }

@@ -104,7 +104,7 @@ void TruthSeries::FillPoints(const TrueFrame& truth, SeriesFrame* frame) const {
   surface.correlation = surface.epipolar_px = Image<float>(size, kNaNf);
   surface.status = Image<Status>(size, Status::kMasked);
   surface.position_mm = surface.sigma_random_mm = surface.sigma_calibration_mm =
-      frame->displacement.value_mm = frame->strain.green_lagrange = frame->slip.velocity_mm_s =
+      frame->displacement.value_mm = frame->strain.value = frame->slip.velocity_mm_s =
           Image<Eigen::Vector3f>(size, nan);
   tbb::parallel_for(0, size.height, [&](int r) {
     for (int c = 0; c < size.width; ++c) {
@@ -120,13 +120,14 @@ void TruthSeries::FillPoints(const TrueFrame& truth, SeriesFrame* frame) const {
       surface.position_mm(r, c) = point->position_mm.cast<float>();
       surface.sigma_random_mm(r, c) = surface.sigma_calibration_mm(r, c) = Eigen::Vector3f::Zero();
       frame->displacement.value_mm(r, c) = point->displacement_mm.cast<float>();
-      frame->strain.green_lagrange(r, c) = point->green_lagrange.cast<float>();
+      frame->strain.value(r, c) = point->green_lagrange.cast<float>();
       frame->slip.velocity_mm_s(r, c) = point->velocity_mm_s.cast<float>();
     }
   });
   const Image<Eigen::Vector3f>& exact = surface.sigma_random_mm;
   frame->displacement.sigma_random_mm = frame->displacement.sigma_calibration_mm = exact;
   frame->strain.sigma_random = frame->strain.sigma_calibration = exact;
+  frame->strain.status = surface.status;
   frame->slip.sigma_random_mm_s = frame->slip.sigma_calibration_mm_s = exact;
 }
 

@@ -98,12 +98,6 @@ inline void WritePlanar(const std::filesystem::path& file, const PlanarSeriesHea
   EXPECT_FALSE(std::filesystem::exists(file.string() + ".parts"));
 }
 
-template <typename Element>
-void ExpectSamePoints(const Image<Element>& a, const Image<Element>& b) {
-  ASSERT_EQ(a.size(), b.size());
-  for (std::size_t i = 0; i < a.pixel_count(); ++i) ExpectSame(a.data()[i], b.data()[i]);
-}
-
 // That b is what a reads back as.
 inline void ExpectSamePlanarFrame(const PlanarSeriesFrame& a, const PlanarSeriesFrame& b) {
   EXPECT_EQ(a.index, b.index);

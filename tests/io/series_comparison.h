@@ -28,7 +28,8 @@ void ExpectSame(const Eigen::MatrixBase<A>& a, const Eigen::MatrixBase<B>& b) {
                static_cast<double>(b.derived().data()[i]));
   }
 }
-inline void ExpectSame(const Image<Eigen::Vector3f>& a, const Image<Eigen::Vector3f>& b) {
+template <typename Element>
+void ExpectSamePoints(const Image<Element>& a, const Image<Element>& b) {
   ASSERT_EQ(a.size(), b.size());
   for (std::size_t i = 0; i < a.pixel_count(); ++i) ExpectSame(a.data()[i], b.data()[i]);
 }
@@ -98,9 +99,70 @@ inline void ExpectSameSlip(const SlipRecord& a, const SlipRecord& b) {
   ExpectSame(a.sigma_calibration_ratio, b.sigma_calibration_ratio);
   ExpectSame(a.sigma_random_angle_rad, b.sigma_random_angle_rad);
   ExpectSame(a.sigma_calibration_angle_rad, b.sigma_calibration_angle_rad);
-  ExpectSame(a.velocity_mm_s, b.velocity_mm_s);
-  ExpectSame(a.sigma_random_mm_s, b.sigma_random_mm_s);
-  ExpectSame(a.sigma_calibration_mm_s, b.sigma_calibration_mm_s);
+  ExpectSamePoints(a.velocity_mm_s, b.velocity_mm_s);
+  ExpectSamePoints(a.sigma_random_mm_s, b.sigma_random_mm_s);
+  ExpectSamePoints(a.sigma_calibration_mm_s, b.sigma_calibration_mm_s);
+}
+
+inline void ExpectSameRigidMotion(const RigidMotionRecord& a, const RigidMotionRecord& b) {
+  EXPECT_EQ(a.found, b.found);
+  EXPECT_EQ(a.problem, b.problem);
+  ExpectSame(a.rotation_rad, b.rotation_rad);
+  ExpectSame(a.translation_mm, b.translation_mm);
+  ExpectSame(a.sigma_random_rotation_rad, b.sigma_random_rotation_rad);
+  ExpectSame(a.sigma_calibration_rotation_rad, b.sigma_calibration_rotation_rad);
+  ExpectSame(a.sigma_random_translation_mm, b.sigma_random_translation_mm);
+  ExpectSame(a.sigma_calibration_translation_mm, b.sigma_calibration_translation_mm);
+}
+
+inline void ExpectSameRigWatch(const RigWatchRecord& a, const RigWatchRecord& b) {
+  EXPECT_EQ(a.found, b.found);
+  EXPECT_EQ(a.problem, b.problem);
+  ExpectSame(a.epipolar_mean_px, b.epipolar_mean_px);
+  ExpectSame(a.epipolar_rms_px, b.epipolar_rms_px);
+  ExpectSame(a.epipolar_sigma_px, b.epipolar_sigma_px);
+  ExpectSame(a.chi2_calibration, b.chi2_calibration);
+  ExpectSame(a.chi2_first, b.chi2_first);
+  ExpectSame(a.change, b.change);
+  ExpectSame(a.sigma_random_change, b.sigma_random_change);
+  ExpectSame(a.sigma_calibration_change, b.sigma_calibration_change);
+  EXPECT_EQ(a.refined, b.refined);
+  EXPECT_EQ(a.alarm, b.alarm);
+  EXPECT_EQ(a.right_from_left.Matrix(), b.right_from_left.Matrix());
+}
+
+// An optional image that is empty reads back as NaN.
+template <typename Element>
+void ExpectSameOrNaN(const Image<Element>& a, const Image<Element>& b) {
+  if (!a.empty()) return ExpectSamePoints(a, b);
+  for (const Element& value : b.values()) EXPECT_NE(value, value);
+}
+
+inline void ExpectSameStrain(const StrainField& a, const StrainField& b) {
+  ExpectSamePoints(a.value, b.value);
+  ExpectSamePoints(a.sigma_random, b.sigma_random);
+  ExpectSamePoints(a.sigma_calibration, b.sigma_calibration);
+  ExpectSamePoints(a.cov_random, b.cov_random);
+  ExpectSameBits(a.status, b.status);
+  ExpectSameOrNaN(a.sigma_random_principal, b.sigma_random_principal);
+  ExpectSameOrNaN(a.sigma_calibration_principal, b.sigma_calibration_principal);
+  ExpectSameOrNaN(a.sigma_random_angle_rad, b.sigma_random_angle_rad);
+  ExpectSameOrNaN(a.sigma_calibration_angle_rad, b.sigma_calibration_angle_rad);
+  ExpectSameOrNaN(a.sigma_random_max_shear, b.sigma_random_max_shear);
+  ExpectSameOrNaN(a.sigma_calibration_max_shear, b.sigma_calibration_max_shear);
+  ExpectSameOrNaN(a.sigma_random_von_mises, b.sigma_random_von_mises);
+  ExpectSameOrNaN(a.sigma_calibration_von_mises, b.sigma_calibration_von_mises);
+}
+
+inline void ExpectSameMatch(const MatchField& a, const MatchField& b) {
+  ExpectSamePoints(a.left_displacement_px, b.left_displacement_px);
+  ExpectSamePoints(a.right_displacement_px, b.right_displacement_px);
+  ExpectSamePoints(a.left_gradient, b.left_gradient);
+  ExpectSamePoints(a.right_gradient, b.right_gradient);
+  ExpectSamePoints(a.left_cov_px2, b.left_cov_px2);
+  ExpectSamePoints(a.right_cov_px2, b.right_cov_px2);
+  ExpectSamePoints(a.left_reference_share, b.left_reference_share);
+  ExpectSamePoints(a.right_reference_share, b.right_reference_share);
 }
 
 // That b is what a reads back as: points without a value are NaN in all.
@@ -126,16 +188,20 @@ inline void ExpectSameFrame(const SeriesFrame& a, const SeriesFrame& b) {
     EXPECT_EQ(a.surface.correlation.data()[i], b.surface.correlation.data()[i]);
     EXPECT_EQ(a.surface.epipolar_px.data()[i], b.surface.epipolar_px.data()[i]);
   }
-  ExpectSame(a.displacement.value_mm, b.displacement.value_mm);
-  ExpectSame(a.displacement.sigma_random_mm, b.displacement.sigma_random_mm);
-  ExpectSame(a.displacement.sigma_calibration_mm, b.displacement.sigma_calibration_mm);
-  ExpectSame(a.strain.green_lagrange, b.strain.green_lagrange);
-  ExpectSame(a.strain.sigma_random, b.strain.sigma_random);
-  ExpectSame(a.strain.sigma_calibration, b.strain.sigma_calibration);
+  ExpectSamePoints(a.displacement.value_mm, b.displacement.value_mm);
+  ExpectSamePoints(a.displacement.sigma_random_mm, b.displacement.sigma_random_mm);
+  ExpectSamePoints(a.displacement.sigma_calibration_mm, b.displacement.sigma_calibration_mm);
+  ExpectSameStrain(a.strain, b.strain);
+  ExpectSameMatch(a.match, b.match);
+  ExpectSamePoints(a.velocity.value_mm_s, b.velocity.value_mm_s);
+  ExpectSamePoints(a.velocity.sigma_random_mm_s, b.velocity.sigma_random_mm_s);
+  ExpectSamePoints(a.velocity.sigma_calibration_mm_s, b.velocity.sigma_calibration_mm_s);
   ExpectSameGround(a.ground, b.ground);
   ExpectSameWheel(a.wheel, b.wheel);
   ExpectSamePatch(a.patch, b.patch);
   ExpectSameSlip(a.slip, b.slip);
+  ExpectSameRigidMotion(a.rigid_motion, b.rigid_motion);
+  ExpectSameRigWatch(a.rig_watch, b.rig_watch);
 }
 
 }  // namespace plumbline::testing

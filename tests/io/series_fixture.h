@@ -84,9 +84,10 @@ inline SeriesFrame SmallFrame(std::int64_t i, ImageSize grid = {7, 5}) {
 // A header with every optional group.
 inline SeriesHeader FullHeader(ImageSize grid = {7, 5}) {
   SeriesHeader header = SmallHeader(grid);
-  header.contents = {true, true, true, true, true, true};
+  header.contents = {true, true, true, true, true, true, true, true, true, true};
   header.grid_points = "material";
   header.displacement_reference = "frame 10";
+  header.rigid_motion_removed = true;
   header.vsg_px = 27;
   header.vsg_mm = 5.5;
   header.channels = {{"Fz", "N", "vertical force", {-0.1, 0, 0.05, 0.1}, {1, 2, 3, 4}},
@@ -105,18 +106,49 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
   DisplacementField& u = frame.displacement;
   StrainField& e = frame.strain;
   SlipRecord& slip = frame.slip;
+  MatchField& m = frame.match;
+  VelocityField& v = frame.velocity;
+  e.status = frame.surface.status;
+  e.cov_random = Image<Eigen::Matrix<float, 6, 1>>(
+      grid, Eigen::Matrix<float, 6, 1>::Constant(std::numeric_limits<float>::quiet_NaN()));
+  e.sigma_random_principal = e.sigma_calibration_principal = m.left_displacement_px =
+      m.right_displacement_px = Image<Eigen::Vector2f>(
+          grid, Eigen::Vector2f::Constant(std::numeric_limits<float>::quiet_NaN()));
+  e.sigma_random_von_mises = e.sigma_calibration_von_mises = m.left_reference_share =
+      m.right_reference_share = Image<float>(grid, std::numeric_limits<float>::quiet_NaN());
+  m.left_gradient = m.right_gradient = Image<Eigen::Matrix2f>(
+      grid, Eigen::Matrix2f::Constant(std::numeric_limits<float>::quiet_NaN()));
+  m.left_cov_px2 = m.right_cov_px2 = none;
+  v.value_mm_s = v.sigma_random_mm_s = v.sigma_calibration_mm_s = none;
   u.value_mm = u.sigma_random_mm = u.sigma_calibration_mm = none;
-  e.green_lagrange = e.sigma_random = e.sigma_calibration = none;
+  e.value = e.sigma_random = e.sigma_calibration = none;
   slip.velocity_mm_s = slip.sigma_random_mm_s = slip.sigma_calibration_mm_s = none;
   for (std::size_t k = 0; k < none.pixel_count(); ++k) {
+    if (k == 1) e.status.data()[k] = Status::kExtrapolated;
     if (k == 1 || frame.surface.status.data()[k] != Status::kOk) continue;
     const Eigen::Vector3f& p = frame.surface.position_mm.data()[k];
     u.value_mm.data()[k] = 0.1f * p;
     u.sigma_random_mm.data()[k] = Eigen::Vector3f(0.3f, 0.4f, 0.5f);
     u.sigma_calibration_mm.data()[k] = Eigen::Vector3f(0.4f, 0.3f, 1.2f);
-    e.green_lagrange.data()[k] = Eigen::Vector3f(1e-3f * p.x(), -2e-3f, 5e-4f * p.y());
+    e.value.data()[k] = Eigen::Vector3f(1e-3f * p.x(), -2e-3f, 5e-4f * p.y());
     e.sigma_random.data()[k].setConstant(1e-4f);
     e.sigma_calibration.data()[k].setConstant(2e-4f);
+    e.cov_random.data()[k] << 1e-8f, 1e-9f, -1e-9f, 1e-8f, 2e-9f, 1e-8f;
+    e.sigma_random_principal.data()[k] = Eigen::Vector2f(1e-4f, 2e-4f);
+    e.sigma_calibration_principal.data()[k] = Eigen::Vector2f(3e-4f, 4e-4f);
+    e.sigma_random_von_mises.data()[k] = 3e-4f;
+    e.sigma_calibration_von_mises.data()[k] = 4e-4f;
+    m.left_displacement_px.data()[k] = 0.5f * p.head<2>();
+    m.right_displacement_px.data()[k] = 0.25f * p.tail<2>();
+    m.left_gradient.data()[k] << 0.01f, 0.02f * p.x(), 0.03f, 0.04f;
+    m.right_gradient.data()[k] << 0.05f, 0.06f, 0.07f * p.x(), 0.08f;
+    m.left_cov_px2.data()[k] = Eigen::Vector3f(1e-4f, 2e-5f, 3e-4f);
+    m.right_cov_px2.data()[k] = Eigen::Vector3f(4e-4f, 5e-5f, 6e-4f);
+    m.left_reference_share.data()[k] = 0.5f;
+    m.right_reference_share.data()[k] = 0.4f;
+    v.value_mm_s.data()[k] = 2 * p;
+    v.sigma_random_mm_s.data()[k].setConstant(0.3f);
+    v.sigma_calibration_mm_s.data()[k].setConstant(0.4f);
     slip.velocity_mm_s.data()[k] = -p;
     slip.sigma_random_mm_s.data()[k].setConstant(0.5f);
     slip.sigma_calibration_mm_s.data()[k].setConstant(0.25f);
@@ -165,6 +197,29 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
     slip.sigma_calibration_ratio = 0.004;
     slip.sigma_random_angle_rad = 0.005;
     slip.sigma_calibration_angle_rad = 0.012;
+  }
+  RigidMotionRecord& motion = frame.rigid_motion;
+  motion.found = true;
+  motion.rotation_rad = Eigen::Vector3d(0.01 * t, 0.02, -0.03);
+  motion.translation_mm = Eigen::Vector3d(t, 5, 6);
+  motion.sigma_random_rotation_rad.setConstant(3e-5);
+  motion.sigma_calibration_rotation_rad.setConstant(4e-5);
+  motion.sigma_random_translation_mm.setConstant(0.003);
+  motion.sigma_calibration_translation_mm.setConstant(0.004);
+  RigWatchRecord& watch = frame.rig_watch;
+  watch.found = i != 1;
+  if (!watch.found) watch.problem = "too few points";
+  if (watch.found) {
+    watch.epipolar_mean_px = 0.001 * t;
+    watch.epipolar_rms_px = 0.03;
+    watch.epipolar_sigma_px = 0.02;
+    watch.chi2_calibration = 7;  // and none against the first frame
+    watch.change << 1e-4, 2e-4, 3e-4, 0.01, 0.02, 0.03 * t;
+    watch.sigma_random_change << 3e-5, 3e-5, 3e-5, 0.003, 0.003, 0.003;
+    watch.sigma_calibration_change = watch.sigma_random_change * 4 / 3;
+    watch.refined = i == 2;
+    watch.alarm = i == 0;
+    watch.right_from_left = Rigid3::FromRotationVector({0.01, -0.3, 0.02}, {-123, 0.5, 6});
   }
   return frame;
 }

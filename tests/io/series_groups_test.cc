@@ -26,7 +26,8 @@ using testing::TestFolder;
 SeriesFrame FrameWithoutSurface() {
   SeriesFrame frame;
   frame.problem = "left1.png is truncated";
-  frame.wheel.problem = frame.patch.problem = frame.slip.problem = "no surface";
+  frame.wheel.problem = frame.patch.problem = frame.slip.problem = frame.rigid_motion.problem =
+      frame.rig_watch.problem = "no surface";
   return frame;
 }
 
@@ -51,6 +52,7 @@ TEST(SeriesGroups, ReadBackWhatWasWritten) {
   EXPECT_EQ(reader.contents(), header.contents);
   EXPECT_EQ(reader.grid_points(), "material");
   EXPECT_EQ(reader.displacement_reference(), "frame 10");
+  EXPECT_TRUE(reader.rigid_motion_removed());
   EXPECT_EQ(reader.strain_measure(), "green_lagrange");
   EXPECT_EQ(reader.strain_axes(), "material");
   EXPECT_EQ(reader.vsg_px(), 27);
@@ -71,7 +73,9 @@ TEST(SeriesGroups, AreEachOptional) {
   const fs::path folder = TestFolder();
   for (const auto flag :
        {&SeriesContents::covariance, &SeriesContents::displacement, &SeriesContents::strain,
-        &SeriesContents::wheel, &SeriesContents::patch, &SeriesContents::slip}) {
+        &SeriesContents::wheel, &SeriesContents::patch, &SeriesContents::slip,
+        &SeriesContents::matches, &SeriesContents::velocity, &SeriesContents::rigid_motion,
+        &SeriesContents::rig_watch}) {
     SeriesHeader header = SmallHeader();
     header.contents.*flag = true;
     const fs::path file = folder / (Names(header.contents).at(0) + ".h5");
@@ -82,6 +86,11 @@ TEST(SeriesGroups, AreEachOptional) {
     EXPECT_EQ(!frame.displacement.value_mm.empty(), header.contents.displacement);
     EXPECT_EQ(!frame.slip.velocity_mm_s.empty(), header.contents.slip);
     EXPECT_EQ(frame.wheel.found, header.contents.wheel);
+    EXPECT_EQ(!frame.match.right_gradient.empty(), header.contents.matches);
+    EXPECT_EQ(!frame.velocity.value_mm_s.empty(), header.contents.velocity);
+    EXPECT_EQ(!frame.strain.status.empty(), header.contents.strain);
+    EXPECT_EQ(frame.rigid_motion.found, header.contents.rigid_motion);
+    EXPECT_EQ(frame.rig_watch.found, header.contents.rig_watch);
     EXPECT_EQ(frame.patch.contour_mm.size(), header.contents.patch ? 3u : 0u);
     EXPECT_THAT(Validate(file), IsEmpty());
   }
@@ -108,7 +117,7 @@ TEST(SeriesGroups, AFrameWithoutAFieldReadsAsNaN) {
   for (const Eigen::Vector3f& u : frame.displacement.value_mm.values()) {
     ASSERT_TRUE(u.array().isNaN().all());
   }
-  testing::ExpectSame(FullFrame(1, {700, 401}).strain.green_lagrange, frame.strain.green_lagrange);
+  testing::ExpectSameStrain(FullFrame(1, {700, 401}).strain, frame.strain);
   EXPECT_THAT(Validate(file), IsEmpty());
 }
 
@@ -126,12 +135,65 @@ TEST(SeriesGroups, AValueThatIsNotFiniteIsNaNWithItsSigmas) {
   EXPECT_TRUE(back.displacement.value_mm(0, 0).array().isNaN().all());
   EXPECT_TRUE(back.displacement.sigma_random_mm(0, 0).array().isNaN().all());
   EXPECT_TRUE(std::isnan(back.strain.sigma_calibration(0, 2).x()));
-  EXPECT_EQ(back.strain.green_lagrange(0, 2), frame.strain.green_lagrange(0, 2));
+  EXPECT_EQ(back.strain.value(0, 2), frame.strain.value(0, 2));
   EXPECT_TRUE(back.slip.velocity_mm_s(0, 3).array().isNaN().all());
   EXPECT_TRUE(std::isnan(back.wheel.speed_rad_s));
   EXPECT_EQ(back.surface.status(0, 4), Status::kFailedVerification);
   EXPECT_TRUE(back.displacement.value_mm(0, 4).array().isNaN().all());
   EXPECT_THAT(Validate(file), IsEmpty());
+}
+
+TEST(SeriesGroups, TheStrainGoesByItsOwnStatus) {
+  const fs::path file = TestFolder() / "run.h5";
+  SeriesFrame frame = FullFrame(0);
+  frame.strain.status(0, 0) = Status::kExtrapolated;  // with a value
+  frame.strain.value(0, 2).x() = std::numeric_limits<float>::infinity();
+  frame.strain.status(0, 3) = Status::kOk;  // from its neighbours: no surface there
+  frame.strain.value(0, 3) = Eigen::Vector3f(1e-3f, 2e-3f, 0);
+  frame.strain.sigma_random(0, 3).setConstant(1e-4f);
+  frame.strain.sigma_calibration(0, 3).setConstant(1e-4f);
+  frame.strain.cov_random(0, 3).setConstant(1e-8f);
+  SeriesHeader header = FullHeader();
+  header.strain_measure = "hencky";
+  header.strain_axes = "0.5,-1,0";
+  Write(file, header, {frame});
+  const SeriesReader reader(file);
+  EXPECT_EQ(reader.strain_measure(), "hencky");
+  EXPECT_EQ(reader.strain_axes(), "0.5,-1,0");
+  const StrainField back = reader.Frame(0).strain;
+  EXPECT_TRUE(back.value(0, 0).array().isNaN().all());
+  EXPECT_TRUE(std::isnan(back.sigma_random_von_mises(0, 0)));
+  EXPECT_EQ(back.status(0, 2), Status::kFailedVerification);
+  EXPECT_TRUE(back.value(0, 2).array().isNaN().all());
+  EXPECT_EQ(back.value(0, 3), frame.strain.value(0, 3));
+  EXPECT_THAT(Validate(file), IsEmpty());
+}
+
+TEST(SeriesGroups, FilesOfVersion1StillRead) {
+  const fs::path file = TestFolder() / "run.h5";
+  SeriesHeader header = FullHeader();
+  header.contents = {true, true, true, true, true, true};
+  Write(file, header, {FullFrame(0), FrameWithoutSurface()});
+  const auto made = testing::RunPython(R"py(
+import sys, h5py
+with h5py.File(sys.argv[1], 'r+') as f:
+    f.attrs['format_version'] = 1
+    del f['displacement'].attrs['rigid_motion_removed']
+    f['strain'].attrs['signal'] = 'green_lagrange'
+    known = ('green_lagrange', 'principal', 'angle', 'frame', 'row', 'col', 'component', 'principal_component')
+    for name in list(f['strain']):
+        if name not in known and not name.startswith('green_lagrange_'): del f['strain'][name]
+print(len(f) if f else 'made', end='')
+)py",
+                                       file.string());
+  ASSERT_EQ(made.output, "made");
+  EXPECT_THAT(Validate(file), IsEmpty());
+  const StrainField back = SeriesReader(file).Frame(0).strain;
+  testing::ExpectSamePoints(FullFrame(0).strain.value, back.value);
+  testing::ExpectSamePoints(FullFrame(0).strain.sigma_calibration, back.sigma_calibration);
+  testing::ExpectSameBits(FullFrame(0).strain.status, back.status);
+  EXPECT_TRUE(back.cov_random.empty());
+  EXPECT_TRUE(SeriesReader(file).Frame(1).strain.status.empty());
 }
 
 TEST(SeriesGroups, RefuseWhatDoesNotFitTheGrid) {
@@ -141,6 +203,13 @@ TEST(SeriesGroups, RefuseWhatDoesNotFitTheGrid) {
            [](SeriesFrame& f) {
              f.strain = FullFrame(0, {8, 5}).strain;
            },
+           [](SeriesFrame& f) { f.strain.status = {}; },
+           [](SeriesFrame& f) { f.strain.cov_random = {}; },
+           [](SeriesFrame& f) {
+             f.strain.sigma_random_von_mises = Image<float>({8, 5});
+           },
+           [](SeriesFrame& f) { f.match.right_cov_px2 = {}; },
+           [](SeriesFrame& f) { f.velocity.sigma_random_mm_s = {}; },
            [](SeriesFrame& f) { f.slip.sigma_calibration_mm_s = {}; },
            [](SeriesFrame& f) { f.surface.cov_random_mm2 = {}; }}) {
     SeriesFrame frame = FullFrame(0);
@@ -176,6 +245,14 @@ TEST(SeriesGroups, RefuseChannelsAndAttributesThatMeanNothing) {
   header = SmallHeader();
   header.displacement_reference = "frame";
   EXPECT_THROW(SeriesWriter(file, header), std::invalid_argument);
+  header = SmallHeader();
+  header.strain_measure = "cauchy";
+  EXPECT_THROW(SeriesWriter(file, header), std::invalid_argument);
+  for (const char* axes : {"x", "1,0", "1,0,0,0", "0,0,0", "1,nan,0", "1,0,0 "}) {
+    header = SmallHeader();
+    header.strain_axes = axes;
+    EXPECT_THROW(SeriesWriter(file, header), std::invalid_argument) << axes;
+  }
   EXPECT_FALSE(fs::exists(file.string() + ".parts"));
 }
 
@@ -184,13 +261,15 @@ TEST(SeriesGroups, AreNamedInTheSummary) {
   SeriesHeader header = FullHeader();
   header.contents.wheel = false;
   Write(file, header, {FullFrame(0)});
-  EXPECT_THAT(Inspect(file).Text(),
-              HasSubstr("also holds: covariance, displacement, strain, patch, slip, channels (Fz, "
-                        "empty)\n"));
+  EXPECT_THAT(
+      Inspect(file).Text(),
+      HasSubstr("also holds: covariance, displacement, strain, patch, slip, matches, velocity, "
+                "rigid_motion, rig_watch, channels (Fz, empty)\n"));
   Write(TestFolder() / "plain.h5", SmallHeader(), {SmallFrame(0)});
   EXPECT_THAT(Inspect(TestFolder() / "plain.h5").Text(), ::testing::Not(HasSubstr("also")));
   EXPECT_THAT(Names(header.contents),
-              ElementsAre("covariance", "displacement", "strain", "patch", "slip"));
+              ElementsAre("covariance", "displacement", "strain", "patch", "slip", "matches",
+                          "velocity", "rigid_motion", "rig_watch"));
 }
 
 TEST(PrincipalStrain, IsThatOfMohrsCircle) {

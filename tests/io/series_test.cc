@@ -295,10 +295,11 @@ TEST(Series, H5pyReadsEveryDatasetWithUnitsAndScales) {
   for (int i = 0; i < 3; ++i) writer.Commit(FullFrame(i));
   writer.Close();
   testing::WalkWithH5py(file, R"py(
-assert f.attrs['format'] == 'plumbline-series' and f.attrs['format_version'] == 1
+assert f.attrs['format'] == 'plumbline-series' and f.attrs['format_version'] == 2
 for name in ('created', 'software', 'recipe', 'inputs'): assert name in f.attrs, name
-assert count > 130, count
-check_nexus('surface', 'grid', 'frames', 'ground', 'displacement', 'strain', 'wheel', 'patch', 'slip', 'channels/Fz')
+assert count > 200, count
+check_nexus('surface', 'grid', 'frames', 'ground', 'displacement', 'strain', 'wheel', 'patch', 'slip', 'channels/Fz',
+            'match', 'velocity', 'rigid_motion', 'rig_watch')
 p, s = f['surface/position'], f['surface/status']
 assert p.shape == (3, 5, 7, 3) and p.chunks == (1, 5, 7, 3) and p.shuffle and p.compression_opts == 1
 assert np.isnan(p.fillvalue)
@@ -309,16 +310,19 @@ for i in range(3):
     assert np.array_equal(np.isnan(p[i, ..., 0]), ~ok) and np.array_equal(s[i] == 0, ok)
     np.testing.assert_allclose(p[i][ok][:, 1], 2 * (i + .1 * k[ok]), rtol=1e-6)
 np.testing.assert_allclose(f['surface/position_errors'][:], np.hypot(f['surface/position_errors_random'][:], f['surface/position_errors_calibration'][:]), rtol=1e-6)
-for n in ('surface/position', 'displacement/value', 'strain/green_lagrange', 'slip/velocity', 'ground/offset', 'ground/angles_rad',
+for n in ('surface/position', 'displacement/value', 'strain/value', 'strain/principal', 'strain/angle', 'strain/von_mises', 'strain/max_shear',
+          'slip/velocity', 'velocity/value', 'rigid_motion/rotation', 'rigid_motion/translation', 'rig_watch/change', 'ground/offset', 'ground/angles_rad',
           'wheel/axis', 'wheel/centre', 'wheel/radius', 'wheel/angle_rad', 'wheel/speed', 'patch/area_mm2', 'patch/length_mm',
           'patch/width_mm', 'patch/centroid', 'slip/ratio', 'slip/angle_rad'):
     v, a, b, e = (f[n + x][:] for x in ('', '_errors_random', '_errors_calibration', '_errors'))
     assert v.shape == a.shape == b.shape == e.shape, n
     np.testing.assert_allclose(e, np.hypot(a, b), rtol=1e-6)
-    assert np.isfinite(e).any() == (n != 'wheel/speed'), n
-for g in ('surface', 'displacement', 'slip'): assert f[g].attrs['frame'] == 'ground'
+    assert np.isfinite(e).any() == (n not in ('wheel/speed', 'strain/angle', 'strain/max_shear')), n
+for g in ('surface', 'displacement', 'slip', 'velocity', 'rigid_motion'): assert f[g].attrs['frame'] == 'ground'
 assert f['grid'].attrs['points'] == 'material' and f['displacement'].attrs['reference'] == 'frame 10'
-E, a = f['strain/green_lagrange'], f['strain'].attrs
+assert f['displacement'].attrs['rigid_motion_removed'] == 1
+E, a = f['strain/value'], f['strain'].attrs
+assert f['strain/green_lagrange'] == E and f['strain/green_lagrange_errors'] == f['strain/value_errors']
 assert (a['measure'], a['strain_axes'], a['vsg_px'], a['vsg_mm']) == ('green_lagrange', 'material', 27, 5.5)
 assert f['slip'].attrs['convention'] == 'ISO 8855'
 assert list(f['strain/component'].asstr()) == ['xx', 'yy', 'xy']
@@ -326,6 +330,28 @@ xx, yy, xy = E[2, 4, 4]
 w, V = np.linalg.eigh(np.array([[xx, xy], [xy, yy]]))
 np.testing.assert_allclose(f['strain/principal'][2, 4, 4], w[::-1], rtol=1e-5)
 angle = f['strain/angle'][2, 4, 4]
+np.testing.assert_allclose(f['strain/max_shear'][2, 4, 4], (w[1] - w[0]) / 2, rtol=1e-5)
+full = np.diag([*w, -w.sum()])
+np.testing.assert_allclose(f['strain/von_mises'][2, 4, 4], np.sqrt(2 / 3 * (full**2).sum()), rtol=1e-5)
+ok = s[2] == 0
+ok[0, 1] = False
+assert np.array_equal(f['strain/status'][2] == 0, ok) and f['strain/status'][2, 0, 1] == 10
+for n in ('covariance', 'max_shear', 'von_mises_errors_random', 'principal_errors'):
+    v = f['strain/' + n][2].reshape(5, 7, -1)
+    assert np.array_equal(np.isfinite(v).all(-1), ok), n
+m = f['match']
+for n in ('displacement', 'gradient', 'covariance', 'share'):
+    for side in ('left_', 'right_'):
+        v = m[side + n][2].reshape(5, 7, -1)
+        assert v.shape[2] == {'displacement': 2, 'gradient': 4, 'covariance': 3, 'share': 1}[n]
+        assert np.array_equal(np.isfinite(v).all(-1), ok), n
+assert list(m['gradient_component'].asstr()) == ['du/dx', 'du/dy', 'dv/dx', 'dv/dy']
+np.testing.assert_allclose(m['left_gradient'][2][ok], np.stack([[.01, .02 * x, .03, .04] for x in p[2][ok][:, 0]]), rtol=1e-6)
+np.testing.assert_allclose(m['right_displacement'][2][ok], .25 * p[2][ok][:, 1:], rtol=1e-6)
+r = f['rig_watch']
+assert list(r['status']) == [0, 1, 0] and r['refined'][2] == 1 and r['alarm'][0] == 1 and np.isnan(r['alarm'][1])
+assert r['change'].shape == (3, 6) and r['right_from_left'].shape == (3, 4, 4) and r.attrs['axes'] == ['frame']
+assert list(f['rigid_motion'].attrs['axes']) == ['frame', 'component']
 np.testing.assert_allclose(abs(V[:, 1] @ [np.cos(angle), np.sin(angle)]), 1, rtol=1e-6)
 assert np.isnan(f['displacement/value'][2, 0, 1]).all() and s[2, 0, 1] == 0
 assert f['displacement/value'].chunks == (1, 5, 7, 3) and np.isnan(f['displacement/value'].fillvalue)
