@@ -89,6 +89,7 @@ TriangulatedPoint TriangulateRays(const StereoRig& rig, const RightCamera& right
   TriangulatedPoint out;
   out.point_in_rig.setConstant(kNaN);
   out.cov_mm2.setConstant(kNaN);
+  out.d_point_d_pixels.setConstant(kNaN);
   out.epipolar_px = out.sigma_epipolar_px = kNaN;
   if (!r0.allFinite() || !r1.allFinite()) {
     out.status = Status::kOutsideImage;
@@ -115,7 +116,7 @@ TriangulatedPoint TriangulateRays(const StereoRig& rig, const RightCamera& right
   const MidpointDerivative derivative(r0, f1, right.centre, depth0, depth1);
   const Matrix32 d_f1 = right.rotation * F1;
   const Eigen::Vector3d zero = Eigen::Vector3d::Zero();
-  Eigen::Matrix<double, 3, 4> J;
+  Eigen::Matrix<double, 3, 4>& J = out.d_point_d_pixels;
   for (int k = 0; k < 2; ++k) {
     J.col(k) = derivative.Along(F0.col(k), zero, zero);
     J.col(2 + k) = derivative.Along(zero, d_f1.col(k), zero);

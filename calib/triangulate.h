@@ -34,6 +34,8 @@ struct StereoObservation {
 struct TriangulatedPoint {
   Eigen::Vector3d point_in_rig;  // mm
   Eigen::Matrix3d cov_mm2;       // from the observation's covariance alone
+  // d point_in_rig / d (left x, left y, right x, right y), mm / px.
+  Eigen::Matrix<double, 3, 4> d_point_d_pixels;
   // Signed distance of the right pixel from the epipolar line of the left one, in px of the right
   // image: positive where the right pixel lies on the lower side of it, for a right camera that
   // sits to the right. The line is the straight one that the epipolar plane draws on the right

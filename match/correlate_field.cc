@@ -48,7 +48,10 @@ struct FieldCorrelator::Impl {
                                                const PlanarField& field) const;
   void CheckImage(const GrayImage& image) const;
   CorrelatedField Run(const GrayImage& image, const CorrelationImage& deformed,
-                      const std::vector<Propagation::Start>& starts, bool reseed) const;
+                      const std::vector<Propagation::Start>& starts, const FieldStart& start,
+                      bool from_seeds) const;
+  CorrelatedField FromSeeds(const GrayImage& image, const CorrelationImage& deformed,
+                            const FieldStart& start) const;
 
   GrayImage raw;
   FieldOptions options;
@@ -195,17 +198,17 @@ std::vector<CorrelationSeed> FieldCorrelator::Impl::SeedsForTheRest(
 
 CorrelatedField FieldCorrelator::Impl::Run(const GrayImage& image, const CorrelationImage& deformed,
                                            const std::vector<Propagation::Start>& starts,
-                                           bool reseed) const {
+                                           const FieldStart& start, bool from_seeds) const {
   CorrelatedField result{EmptyField(), {}};
   PlanarField& field = result.field;
-  Propagation propagation(correlator, deformed, field);
+  Propagation propagation(correlator, deformed, field, nullptr, start.curvature);
   propagation.Try(starts);
   propagation.Spread();
   FieldCounts& counts = result.counts;
   const auto ok = [&] {
     return std::count(field.status.values().begin(), field.status.values().end(), Status::kOk);
   };
-  if (reseed) {
+  if (from_seeds) {
     const std::int64_t before = ok();
     const std::vector<Propagation::Start> more = StartsOf(field, SeedsForTheRest(image, field));
     propagation.Try(more);
@@ -214,48 +217,53 @@ CorrelatedField FieldCorrelator::Impl::Run(const GrayImage& image, const Correla
   }
   counts.seeds = static_cast<std::int64_t>(starts.size());
   if (options.verify) {
-    internal::RejectNotFoundBack({raw, reference, image, deformed, MaskOrNull()}, options,
-                                 propagation, field, counts);
+    if (from_seeds || start.verify_back) {
+      internal::RejectNotFoundBack({raw, reference, image, deformed, MaskOrNull()}, options,
+                                   propagation, field, counts);
+    }
     internal::RejectParts(options.keep_still_parts, field, counts);
   }
   internal::CountStatuses(field, counts);
   return result;
 }
 
+CorrelatedField FieldCorrelator::Impl::FromSeeds(const GrayImage& image,
+                                                 const CorrelationImage& deformed,
+                                                 const FieldStart& start) const {
+  const std::vector<CorrelationSeed> seeds =
+      start.seeds ? start.seeds(image) : FindSeeds(raw, image, MaskOrNull(), options.seeds);
+  return Run(image, deformed, StartsOf(EmptyField(), seeds), start, true);
+}
+
 CorrelatedField FieldCorrelator::Correlate(const GrayImage& deformed,
-                                           const PlanarField* prior) const {
+                                           const FieldStart& start) const {
   const Impl& impl = *impl_;
   impl.CheckImage(deformed);
-  if (prior == nullptr) {
-    return CorrelateFrom(deformed,
-                         FindSeeds(impl.raw, deformed, impl.MaskOrNull(), impl.options.seeds));
-  }
-  if (prior->size() != impl.options.grid) {
+  const CorrelationImage prepared(deformed, impl.options.image);
+  if (start.prior == nullptr) return impl.FromSeeds(deformed, prepared, start);
+  const PlanarField& prior = *start.prior;
+  if (prior.size() != impl.options.grid) {
     throw InputError("The field to start from is of another grid than this one.");
   }
   std::vector<internal::Propagation::Start> starts;
-  for (std::size_t i = 0; i < prior->status.pixel_count(); ++i) {
-    if (prior->status.data()[i] != Status::kOk) continue;
+  for (std::size_t i = 0; i < prior.status.pixel_count(); ++i) {
+    if (prior.status.data()[i] != Status::kOk) continue;
     const SubsetWarp warp =
-        SubsetWarp::Of(prior->displacement_px.data()[i], prior->gradient.data()[i].cast<double>());
+        SubsetWarp::Of(prior.displacement_px.data()[i], prior.gradient.data()[i].cast<double>());
     if (warp.c.allFinite()) starts.emplace_back(static_cast<std::int64_t>(i), warp);
   }
-  const CorrelationImage prepared(deformed, impl.options.image);
-  CorrelatedField result = impl.Run(deformed, prepared, starts, false);
+  CorrelatedField result = impl.Run(deformed, prepared, starts, start, false);
   // A jump of the specimen leaves nothing of a start from the frame before.
   if (result.counts.ok * 2 >= static_cast<std::int64_t>(starts.size()) && result.counts.ok > 0) {
     return result;
   }
-  CorrelatedField anew =
-      CorrelateFrom(deformed, FindSeeds(impl.raw, deformed, impl.MaskOrNull(), impl.options.seeds));
+  CorrelatedField anew = impl.FromSeeds(deformed, prepared, start);
   return anew.counts.ok > result.counts.ok ? anew : result;
 }
 
 CorrelatedField FieldCorrelator::CorrelateFrom(const GrayImage& deformed,
                                                const std::vector<CorrelationSeed>& seeds) const {
-  impl_->CheckImage(deformed);
-  const CorrelationImage prepared(deformed, impl_->options.image);
-  return impl_->Run(deformed, prepared, impl_->StartsOf(impl_->EmptyField(), seeds), true);
+  return Correlate(deformed, {.seeds = [&](const GrayImage&) { return seeds; }});
 }
 
 }  // namespace plumbline

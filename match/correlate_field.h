@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <vector>
 
@@ -50,6 +51,24 @@ struct FieldCounts {
   std::array<std::int64_t, 16> by_status{};  // by the number of the Status
 };
 
+// Finds seeds in a deformed image, in place of FindSeeds().
+using SeedFinder = std::function<std::vector<CorrelationSeed>(const GrayImage& deformed)>;
+
+// Where a correlation starts.
+struct FieldStart {
+  // A field of the same grid, such as that of the frame before; points where it is not kOk are
+  // reached from their neighbours. Null, or where it leads nowhere: seeds are looked for.
+  const PlanarField* prior = nullptr;
+  SeedFinder seeds = nullptr;  // null: FindSeeds()
+  // Whether points that the prior led to are looked for again from the deformed image (as those
+  // that seeds led to always are, with FieldOptions::verify). It takes longer than the match
+  // itself.
+  bool verify_back = true;
+  // At each point of the grid, the second order of the motion where that is known, as between views
+  // of two cameras; with order 1 it is kept as it is. Null: none is known.
+  const Image<SubsetCurvature>* curvature = nullptr;
+};
+
 struct CorrelatedField {
   PlanarField field;
   FieldCounts counts;
@@ -79,10 +98,8 @@ class FieldCorrelator {
   const FieldOptions& options() const;
   SubsetGrid grid() const;
 
-  // Throws InputError when the image is not of the reference's size or prior of another grid.
-  // `prior`: a field of the same grid to start from, such as that of the frame before; points where
-  // it is not kOk are reached from their neighbours. Without one, seeds are looked for.
-  CorrelatedField Correlate(const GrayImage& deformed, const PlanarField* prior = nullptr) const;
+  // Throws InputError when the image is not of the reference's size or the prior of another grid.
+  CorrelatedField Correlate(const GrayImage& deformed, const FieldStart& start = {}) const;
 
   // The same from seeds that the caller knows.
   CorrelatedField CorrelateFrom(const GrayImage& deformed,

@@ -36,6 +36,7 @@ PlanarField::PlanarField(ImageSize grid, const Eigen::Vector2i& first, int step)
   cov_displacement_px2 = Image<Eigen::Vector3f>(grid, Eigen::Vector3f::Constant(kNoFloat));
   cov_gradient =
       Image<Eigen::Matrix<float, 10, 1>>(grid, Eigen::Matrix<float, 10, 1>::Constant(kNoFloat));
+  reference_share = Image<float>(grid, kNoFloat);
   zncc = Image<float>(grid, kNoFloat);
   iterations = Image<std::uint8_t>(grid, 0);
   status = Image<Status>(grid, Status::kNotConverged);

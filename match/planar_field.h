@@ -23,6 +23,9 @@ struct PlanarField {
   Image<Eigen::Vector3f> cov_displacement_px2;  // uu, uv, vv
   // Of (du/dx, du/dy, dv/dx, dv/dy): upper triangle, row by row (10 numbers).
   Image<Eigen::Matrix<float, 10, 1>> cov_gradient;
+  // Of the variances, what is due to the noise of the reference image. All matches of one reference
+  // have these errors in common.
+  Image<float> reference_share;
   Image<float> zncc;  // zero-normalised cross-correlation of the subsets, -1..1
   Image<std::uint8_t> iterations;
   Image<Status> status;

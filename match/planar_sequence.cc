@@ -60,7 +60,7 @@ struct PlanarSequence::Impl {
     ComposedField fields;
   };
 
-  ComposedField Match(const GrayImage& image) const;
+  ComposedField Match(const GrayImage& image, const SeedFinder& seeds) const;
   bool Worse(const CorrelatedField& now) const;
   std::unique_ptr<const UpdatedReference> ReferenceOf(const Last& frame) const;
   void Take(std::unique_ptr<const UpdatedReference> reference, std::int64_t number);
@@ -72,6 +72,7 @@ struct PlanarSequence::Impl {
   Image<std::uint8_t> mask;
   ImageSize size;
   FieldCorrelator first;
+  Image<SubsetCurvature> curvature;
   std::unique_ptr<const UpdatedReference> updated;
   std::int64_t reference_number = -1;
   std::int64_t with_reference = 0;  // frames
@@ -92,10 +93,11 @@ PlanarSequence::~PlanarSequence() = default;
 
 const FieldCorrelator& PlanarSequence::correlator() const { return impl_->first; }
 
-ComposedField PlanarSequence::Impl::Match(const GrayImage& image) const {
+ComposedField PlanarSequence::Impl::Match(const GrayImage& image, const SeedFinder& seeds) const {
   const PlanarField* const from = start ? &*start : nullptr;
-  if (updated) return updated->Correlate(image, from);
-  ComposedField result{first.Correlate(image, from), {}, {}};
+  if (updated) return updated->Correlate(image, {from, nullptr, options.verify_all});
+  const FieldStart begin{from, seeds, options.verify_all, curvature.empty() ? nullptr : &curvature};
+  ComposedField result{first.Correlate(image, begin), {}, {}};
   result.leg = result.total.field;
   return result;
 }
@@ -161,7 +163,7 @@ void PlanarSequence::Impl::Remember(const PlanarField& field) {
 std::optional<ComposedField> PlanarSequence::Impl::AfterUpdate(const GrayImage& image,
                                                                const CorrelatedField& now) {
   auto anew = ReferenceOf(*last);
-  ComposedField again = anew->Correlate(image, nullptr);
+  ComposedField again = anew->Correlate(image, {});
   const bool better = again.total.counts.ok > now.counts.ok ||
                       (static_cast<double>(again.total.counts.ok) >=
                            options.least_ok_share * static_cast<double>(now.counts.ok) &&
@@ -172,11 +174,23 @@ std::optional<ComposedField> PlanarSequence::Impl::AfterUpdate(const GrayImage& 
   return again;
 }
 
-SequenceFrame PlanarSequence::Add(const GrayImage& deformed, std::int64_t number) {
+void PlanarSequence::SetCurvature(Image<SubsetCurvature> curvature) {
+  impl_->curvature = std::move(curvature);
+}
+
+void PlanarSequence::Restart() {
+  Impl& impl = *impl_;
+  impl.Take(nullptr, -1);
+  impl.start.reset();
+  impl.last.reset();
+}
+
+SequenceFrame PlanarSequence::Add(const GrayImage& deformed, std::int64_t number,
+                                  const SeedFinder& seeds) {
   Impl& impl = *impl_;
   if (deformed.size() != impl.size) impl.first.Correlate(deformed);  // throws
   const SequenceOptions& options = impl.options;
-  ComposedField fields = impl.Match(deformed);
+  ComposedField fields = impl.Match(deformed, seeds);
   if (options.reference == ReferenceMode::kAuto && impl.last &&
       impl.last->number != impl.reference_number && impl.Worse(fields.total)) {
     if (auto again = impl.AfterUpdate(deformed, fields.total)) fields = std::move(*again);

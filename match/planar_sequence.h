@@ -19,6 +19,8 @@ struct SequenceOptions {
   FieldOptions field;
   ReferenceMode reference = ReferenceMode::kFixed;
   int update_every = 1;  // frames; of kEvery
+  // Whether points that the frame before leads to are looked for again from the new frame too.
+  bool verify_all = true;
   // Of kAuto: the last frame becomes the reference when the number of points that are kOk, or the
   // median of their ZNCC, is below this share of the best with the reference so far; and it stays
   // only where that makes it better.
@@ -64,9 +66,18 @@ class PlanarSequence {
                  const Image<std::uint8_t>& mask = {});
   ~PlanarSequence();
 
-  // The next frame. `number`: the caller's, for SequenceFrame::reference_frame. Throws InputError
-  // when the image is not of the reference's size; the sequence then goes on without it.
-  SequenceFrame Add(const GrayImage& deformed, std::int64_t number);
+  // The next frame. `number`: the caller's, for SequenceFrame::reference_frame. `seeds`: where to
+  // start the first frame, and frames that the one before leads nowhere in, as long as the
+  // reference is the first image; null: FindSeeds(). Throws InputError when the image is not of the
+  // reference's size; the sequence then goes on without it.
+  SequenceFrame Add(const GrayImage& deformed, std::int64_t number,
+                    const SeedFinder& seeds = nullptr);
+
+  // What FieldStart::curvature is to say of matches with the first image.
+  void SetCurvature(Image<SubsetCurvature> curvature);
+
+  // Forgets all frames: the next one is correlated as the first.
+  void Restart();
 
   // Of the reference image.
   const FieldCorrelator& correlator() const;

@@ -9,6 +9,7 @@
 #include <stdexcept>
 
 #include "calib/error.h"
+#include "match/internal/kronecker.h"
 #include "match/internal/normal_equations.h"
 #include "match/internal/subset_sums.h"
 #include "match/internal/worst_sigma.h"
@@ -32,6 +33,12 @@ constexpr double kBorderPx = 0.25;
 constexpr double kStrayPx = 1;
 // Determinant below which a warp is taken to fold the subset over.
 constexpr double kFolded = 0.01;
+
+// Variances of a raw pixel's noise in both images, in squared grey levels of the reference.
+struct NoiseOfBoth {
+  double reference, deformed;
+  double Sum() const { return reference + deformed; }
+};
 
 double Determinant(const SubsetWarp& warp) {
   return (Eigen::Matrix2d::Identity() + warp.gradient()).determinant();
@@ -78,6 +85,7 @@ bool Aim(const CorrelationImage& deformed, const Eigen::Vector2i& pixel, const S
     target.warp_x[k] = static_cast<float>(warp.c(0, k) + (k == 1 ? 1 : 0));
     target.warp_y[k] = static_cast<float>(warp.c(1, k) + (k == 2 ? 1 : 0));
   }
+  target.bent = !warp.c.rightCols<3>().isZero(0);
   target.warp_x[0] = static_cast<float>(centre.x() - base.x());
   target.warp_y[0] = static_cast<float>(centre.y() - base.y());
   return true;
@@ -178,9 +186,9 @@ struct SubsetCorrelator::Impl {
                      const NormalEquations& equations, NormalEquations::Fit& fit) const;
   bool Settled(const NormalEquations& equations, const NormalEquations::Fit& fit, double lambda,
                double stop_px2) const;
-  double VarianceOf(const NormalEquations& equations, const NormalEquations::Fit& fit,
-                    const Subset& subset, const CorrelationImage& deformed,
-                    const Eigen::Vector2i& pixel, const SubsetWarp& warp) const;
+  NoiseOfBoth NoiseOf(const NormalEquations& equations, const NormalEquations::Fit& fit,
+                      const Subset& subset, const CorrelationImage& deformed,
+                      const Eigen::Vector2i& pixel, const SubsetWarp& warp) const;
 };
 
 SubsetCorrelator::SubsetCorrelator(const CorrelationImage& reference,
@@ -337,18 +345,21 @@ bool SubsetCorrelator::Impl::Settled(const NormalEquations& equations,
                              kNearly * kNearly * stop_px2);
 }
 
-// Variance of a raw pixel's noise, both images' together, in grey levels of the reference.
-double SubsetCorrelator::Impl::VarianceOf(const NormalEquations& equations,
-                                          const NormalEquations::Fit& fit, const Subset& subset,
-                                          const CorrelationImage& deformed,
-                                          const Eigen::Vector2i& pixel,
-                                          const SubsetWarp& warp) const {
+// Variance of a raw pixel's noise, in grey levels of the reference.
+NoiseOfBoth SubsetCorrelator::Impl::NoiseOf(const NormalEquations& equations,
+                                            const NormalEquations::Fit& fit, const Subset& subset,
+                                            const CorrelationImage& deformed,
+                                            const Eigen::Vector2i& pixel,
+                                            const SubsetWarp& warp) const {
   const double gain2 = fit.gain * fit.gain;
+  const double per_deformed = 1 / (gain2 * Determinant(warp));
   if (options.noise) {
     const double grey = equations.mean() + static_cast<double>(subset.offset);
     const double there = fit.mean + static_cast<double>(subset.offset);
-    return options.noise->Variance(grey) + kRoundingVarianceGrey2 +
-           (options.noise->Variance(there) + kRoundingVarianceGrey2) / gain2;
+    return {
+        options.noise->Variance(grey) + kRoundingVarianceGrey2,
+        (options.deformed_noise.value_or(*options.noise).Variance(there) + kRoundingVarianceGrey2) *
+            per_deformed};
   }
   // Both images have the same noise; the unknowns take their share of the residual.
   const double unknowns = equations.unknowns() + 2;
@@ -356,8 +367,8 @@ double SubsetCorrelator::Impl::VarianceOf(const NormalEquations& equations,
                          TargetNoiseShare(deformed, pixel, warp, options.radius_px())) *
                             subset.count -
                         (gain2 + 1) * unknowns;
-  const double one_image = fit.residual / std::max(shares, 1.0);
-  return std::max(one_image, kRoundingVarianceGrey2) * (1 + 1 / gain2);
+  const double one_image = std::max(fit.residual / std::max(shares, 1.0), kRoundingVarianceGrey2);
+  return {one_image, one_image * per_deformed};
 }
 
 SubsetMatch SubsetCorrelator::Impl::Find(const CorrelationImage& deformed,
@@ -368,9 +379,7 @@ SubsetMatch SubsetCorrelator::Impl::Find(const CorrelationImage& deformed,
   match.status = Take(pixel, subset);
   if (match.status != Status::kOk) return match;
   const int order = options.order;
-  SubsetWarp from = start;
-  if (order < 2) from.c.rightCols<3>().setZero();
-  if (!from.c.allFinite() || !(Determinant(from) > kFolded)) {
+  if (!start.c.allFinite() || !(Determinant(start) > kFolded)) {
     match.status = Status::kNotConverged;
     return match;
   }
@@ -382,7 +391,7 @@ SubsetMatch SubsetCorrelator::Impl::Find(const CorrelationImage& deformed,
     return match;
   }
   NormalEquations::Fit fit;
-  match = Search(deformed, pixel, from, subset, equations, fit);
+  match = Search(deformed, pixel, start, subset, equations, fit);
   if (match.status != Status::kOk) return match;
   if (match.zncc < options.min_zncc) {
     match.status = Status::kLowCorrelation;
@@ -392,18 +401,24 @@ SubsetMatch SubsetCorrelator::Impl::Find(const CorrelationImage& deformed,
   if (filtered) {
     noise = SumProducts(subset.pixels, subset.pixels.noise_x, subset.pixels.noise_y, order);
   }
-  const double variance = VarianceOf(equations, fit, subset, deformed, pixel, match.warp);
+  const NoiseOfBoth variance = NoiseOf(equations, fit, subset, deformed, pixel, match.warp);
   const NormalEquations::Covariance covariance =
-      variance * equations.CovariancePerVariance(filtered ? &noise : nullptr);
-  match.noise_grey = std::sqrt(variance / (1 + 1 / (fit.gain * fit.gain)));
+      variance.Sum() * equations.CovariancePerVariance(filtered ? &noise : nullptr);
+  match.noise_grey = std::sqrt(variance.Sum() / (1 + 1 / (fit.gain * fit.gain)));
+  match.reference_share = variance.reference / variance.Sum();
+  const Eigen::Matrix2d F = Eigen::Matrix2d::Identity() + match.warp.gradient();
   const int v = static_cast<int>(covariance.rows()) / 2;
-  match.cov_displacement_px2 << covariance(0, 0), covariance(0, v), covariance(v, 0),
-      covariance(v, v);
+  Eigen::Matrix2d of_shift;
+  of_shift << covariance(0, 0), covariance(0, v), covariance(v, 0), covariance(v, v);
+  match.cov_displacement_px2 = F * of_shift * F.transpose();
   if (order > 0) {
     const int places[4] = {1, 2, 4, 5};
+    Eigen::Matrix4d of_gradient;
     for (int i = 0; i < 4; ++i) {
-      for (int k = 0; k < 4; ++k) match.cov_gradient(i, k) = covariance(places[i], places[k]);
+      for (int k = 0; k < 4; ++k) of_gradient(i, k) = covariance(places[i], places[k]);
     }
+    const Eigen::Matrix4d turn = internal::Kronecker(F, Eigen::Matrix2d::Identity());
+    match.cov_gradient = turn * of_gradient * turn.transpose();
   }
   if (!(internal::WorstSigma(match.cov_displacement_px2) <= options.max_sigma_px)) {
     match.status = Status::kLowTexture;

@@ -27,9 +27,10 @@ struct CorrelatorOptions {
   // Of the subset's pixels, inside of image and mask: below, the point is masked or outside_image.
   // (Those within CorrelationImage::edge_px() of either's edge are inside, but not used.)
   double min_pixel_share = 0.5;
-  // Noise of both cameras' images. Without it the residual of each subset tells, which counts
-  // what the model does not explain as noise.
+  // Noise of the images. Without it the residual of each subset tells, which counts what the model
+  // does not explain as noise.
   std::optional<NoiseModel> noise;
+  std::optional<NoiseModel> deformed_noise;  // of the deformed images, where it is another's
 
   // Throws UsageError naming the broken constraint.
   void Check() const;
@@ -41,10 +42,11 @@ struct CorrelatorOptions {
 struct SubsetMatch {
   Status status = Status::kNotConverged;
   SubsetWarp warp = {Eigen::Matrix<double, 2, 6>::Constant(kNone)};
-  Eigen::Matrix2d cov_displacement_px2 = Eigen::Matrix2d::Constant(kNone);
+  Eigen::Matrix2d cov_displacement_px2 = Eigen::Matrix2d::Constant(kNone);  // deformed image
   Eigen::Matrix4d cov_gradient = Eigen::Matrix4d::Constant(kNone);  // du/dx, du/dy, dv/dx, dv/dy
   double zncc = kNone;
-  double noise_grey = kNone;  // standard deviation of a raw pixel that the sigmas are based on
+  double noise_grey = kNone;       // standard deviation of a raw pixel that the sigmas are based on
+  double reference_share = kNone;  // of the variances, what is due to the reference's noise
   int iterations = 0;
 
   static constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
@@ -64,6 +66,9 @@ struct SubsetMatch {
 // with the pre-filter's effect on both sides; so cov = H^-1 (sum J J' var n) H^-1, where the
 // weights of raw pixels are the gradients filtered once more. With white noise and no filter this
 // is the Cramer-Rao bound with gain and offset unknown. Rounding to whole levels counts as noise.
+// That is in the pixels of the reference; with F = 1 + gradient the displacement in the deformed
+// image has the covariance F cov F', and of the deformed image's noise, seen from the reference,
+// there is 1 / det F times as much, since its pixels are more or fewer.
 //
 // Thread-safe; the images must outlive it.
 // Accuracy: tests/match/noise_limit_test.cc, docs/correlation.md.
@@ -78,10 +83,11 @@ class SubsetCorrelator {
 
   const CorrelatorOptions& options() const;
 
-  // Finds the subset around a pixel of the reference (x, y), starting from a warp; of that, the
-  // second order counts for order 2 only. Where the reference or the mask cuts the subset off, what
-  // is left of it is looked for; all of that has to lie inside the deformed image. Throws
-  // std::invalid_argument when the deformed image was not prepared with the reference's options.
+  // Finds the subset around a pixel of the reference (x, y), starting from a warp. With order 0 or
+  // 1 the second order of that is kept as it is: what is known of the curvature beforehand. Where
+  // the reference or the mask cuts the subset off, what is left of it is looked for; all of that
+  // has to lie inside the deformed image. Throws std::invalid_argument when the deformed image was
+  // not prepared with the reference's options.
   SubsetMatch Match(const CorrelationImage& deformed, const Eigen::Vector2i& pixel,
                     const SubsetWarp& start) const;
 

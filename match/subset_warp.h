@@ -4,6 +4,9 @@
 
 namespace plumbline {
 
+// The second order of a shape function, columns 3 to 5 of SubsetWarp::c (1 / px).
+using SubsetCurvature = Eigen::Matrix<float, 2, 3>;
+
 // The shape function of a subset: where the point at offset (x, y) from the subset's centre goes,
 //   x + sum_k c(0, k) m_k(x, y),   y + sum_k c(1, k) m_k(x, y),   m = (1, x, y, x^2, x y, y^2),
 // in pixels. Column 0 is the displacement of the centre, columns 1 and 2 its gradient; columns 3 to

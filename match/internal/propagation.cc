@@ -15,11 +15,13 @@ constexpr std::size_t kBatch = 128;     // points whose neighbours are matched t
 }  // namespace
 
 Propagation::Propagation(const SubsetCorrelator& correlator, const CorrelationImage& deformed,
-                         PlanarField& field, const Image<Eigen::Vector2i>* pixels)
+                         PlanarField& field, const Image<Eigen::Vector2i>* pixels,
+                         const Image<SubsetCurvature>* curvature)
     : correlator_(correlator),
       deformed_(deformed),
       field_(field),
       pixels_(pixels),
+      curvature_(curvature),
       warps_(field.size(), Warp::Zero()),
       tries_(field.size(), 0) {}
 
@@ -46,6 +48,7 @@ void Propagation::Store(std::int64_t point, const SubsetMatch& match) {
   field_.gradient.data()[i] = match.warp.gradient().cast<float>();
   field_.cov_displacement_px2.data()[i] = TriangleOf(match.cov_displacement_px2);
   field_.cov_gradient.data()[i] = TriangleOf(match.cov_gradient);
+  field_.reference_share.data()[i] = static_cast<float>(match.reference_share);
   warps_.data()[i] = match.warp.c.cast<float>();
   found_.push({static_cast<float>(match.zncc), point});
 }
@@ -61,7 +64,11 @@ void Propagation::Try(const std::vector<Start>& starts) {
   }
   std::vector<SubsetMatch> matches(wanted.size());
   tbb::parallel_for(std::size_t{0}, wanted.size(), [&](std::size_t i) {
-    matches[i] = correlator_.Match(deformed_, PixelOf(wanted[i].first), wanted[i].second);
+    SubsetWarp& start = wanted[i].second;
+    if (curvature_ != nullptr) {
+      start.c.rightCols<3>() = curvature_->data()[wanted[i].first].cast<double>();
+    }
+    matches[i] = correlator_.Match(deformed_, PixelOf(wanted[i].first), start);
   });
   for (std::size_t i = 0; i < wanted.size(); ++i) Store(wanted[i].first, matches[i]);
 }

@@ -17,9 +17,11 @@ class Propagation {
   using Warp = Eigen::Matrix<float, 2, 6>;  // SubsetWarp::c; only ever a start
 
   // All must outlive it. The field's points that are not to be tried are kMasked. pixels: where
-  // each point's subset is in the correlator's reference; null: on the field's grid.
+  // each point's subset is in the correlator's reference; null: on the field's grid. curvature: the
+  // second order that matches of each point start with; null: that of their neighbours.
   Propagation(const SubsetCorrelator& correlator, const CorrelationImage& deformed,
-              PlanarField& field, const Image<Eigen::Vector2i>* pixels = nullptr);
+              PlanarField& field, const Image<Eigen::Vector2i>* pixels = nullptr,
+              const Image<SubsetCurvature>* curvature = nullptr);
 
   // A point of the field (row * columns + column) and the warp to start from.
   using Start = std::pair<std::int64_t, SubsetWarp>;
@@ -50,6 +52,7 @@ class Propagation {
   const CorrelationImage& deformed_;
   PlanarField& field_;
   const Image<Eigen::Vector2i>* pixels_;
+  const Image<SubsetCurvature>* curvature_;
   Image<Warp> warps_;
   Image<std::uint8_t> tries_;
   std::priority_queue<Found> found_;

@@ -212,11 +212,11 @@ HWY_NOINLINE V InterpolateApart(const TargetPixels& target, hn::Vec<DI> column, 
   return value;
 }
 
-// The rows' polynomials in x of the warped coordinate; its second order for kOrder 2 only.
-template <int kOrder>
+// The rows' polynomials in x of the warped coordinate; its second order where it is bent.
+template <bool kBent>
 HWY_INLINE V Warped(const float* warp, float y, V x) {
   const D d;
-  if constexpr (kOrder < 2) {
+  if constexpr (!kBent) {
     return hn::MulAdd(x, hn::Set(d, warp[1]), hn::Set(d, warp[0] + y * warp[2]));
   } else {
     const V linear = hn::MulAdd(x, hn::Set(d, warp[3]), hn::Set(d, warp[1] + y * warp[4]));
@@ -224,7 +224,7 @@ HWY_INLINE V Warped(const float* warp, float y, V x) {
   }
 }
 
-template <int kOrder, int kDegree>
+template <int kOrder, int kDegree, bool kBent>
 TargetSums TargetOfOrder(const PackedSubset& subset, const TargetPixels& target) {
   static const SplineHalfWeights kHalf = HalfWeights(kDegree);
   const SplineHalfWeights half = kHalf;
@@ -240,8 +240,8 @@ TargetSums TargetOfOrder(const PackedSubset& subset, const TargetPixels& target)
   for (const PackedSubset::Row& row : subset.rows) {
     ForEachVector(row, [&](std::size_t at, V x) HWY_ATTR {
       const V weight = hn::Load(d, subset.weight.data() + at);
-      const V to_x = Warped<kOrder>(target.warp_x, row.y, x);
-      const V to_y = Warped<kOrder>(target.warp_y, row.y, x);
+      const V to_x = Warped<kBent>(target.warp_x, row.y, x);
+      const V to_y = Warped<kBent>(target.warp_y, row.y, x);
       const V floor_x = hn::Floor(to_x);
       const V floor_y = hn::Floor(to_y);
       const V half_pixel = hn::Set(d, 0.5F);
@@ -322,9 +322,13 @@ ProductSums ProductsHere(const PackedSubset& subset, const float* x, const float
 
 template <int kDegree>
 TargetSums TargetOfDegree(const PackedSubset& subset, const TargetPixels& target, int order) {
-  return order == 0   ? TargetOfOrder<0, kDegree>(subset, target)
-         : order == 1 ? TargetOfOrder<1, kDegree>(subset, target)
-                      : TargetOfOrder<2, kDegree>(subset, target);
+  if (target.bent && order < 2) {
+    return order == 0 ? TargetOfOrder<0, kDegree, true>(subset, target)
+                      : TargetOfOrder<1, kDegree, true>(subset, target);
+  }
+  return order == 0   ? TargetOfOrder<0, kDegree, false>(subset, target)
+         : order == 1 ? TargetOfOrder<1, kDegree, false>(subset, target)
+                      : TargetOfOrder<2, kDegree, true>(subset, target);
 }
 
 TargetSums TargetHere(const PackedSubset& subset, const TargetPixels& target, int order) {

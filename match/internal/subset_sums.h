@@ -102,8 +102,9 @@ struct TargetPixels {
   int degree = 5;
   float grey_offset = 0;
   // Offset (x, y) in the reference -> offset from that pixel: sum_k warp_x[k] m_k(x, y). Sums of
-  // order 0 and 1 use the affine part alone.
+  // order 0 and 1 use the affine part alone unless the warp is bent.
   float warp_x[6] = {}, warp_y[6] = {};
+  bool bent = false;  // its second order is not zero
 };
 
 // g: grey level of the deformed image less the offset.

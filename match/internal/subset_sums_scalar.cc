@@ -100,7 +100,7 @@ TargetSums SumTargetScalar(const PackedSubset& subset, const TargetPixels& targe
   ForEachPixel(subset, [&](std::size_t at, const double* m) {
     double x = 0;
     double y = 0;
-    for (int k = 0; k < (order < 2 ? 3 : 6); ++k) {
+    for (int k = 0; k < (order < 2 && !target.bent ? 3 : 6); ++k) {
       x += static_cast<double>(target.warp_x[k]) * m[k];
       y += static_cast<double>(target.warp_y[k]) * m[k];
     }

@@ -6,6 +6,7 @@
 #include <limits>
 #include <numbers>
 
+#include "match/internal/kronecker.h"
 #include "match/internal/propagation.h"
 #include "match/internal/verify_field.h"
 
@@ -17,15 +18,6 @@ Eigen::Matrix2d AtOffset(const Eigen::Matrix4d& cov_gradient, const Eigen::Vecto
   Eigen::Matrix<double, 2, 4> J = Eigen::Matrix<double, 2, 4>::Zero();
   J.block<1, 2>(0, 0) = J.block<1, 2>(1, 2) = offset.transpose();
   return J * cov_gradient * J.transpose();
-}
-
-// A kron B.
-Eigen::Matrix4d Kronecker(const Eigen::Matrix2d& a, const Eigen::Matrix2d& b) {
-  Eigen::Matrix4d m;
-  for (int i = 0; i < 2; ++i) {
-    for (int j = 0; j < 2; ++j) m.block<2, 2>(2 * i, 2 * j) = a(i, j) * b;
-  }
-  return m;
 }
 
 // The mask of the first image as the points of a field carry it along: each pixel asks the nearest
@@ -123,27 +115,29 @@ UpdatedReference::UpdatedReference(const GrayImage& image, const ComposedField& 
 }
 
 ComposedField UpdatedReference::Correlate(const GrayImage& deformed,
-                                          const PlanarField* start) const {
+                                          const FieldStart& start) const {
   const CorrelationImage prepared(deformed, options_.image);
   ComposedField best;
-  if (start != nullptr) {
+  if (start.prior != nullptr) {
+    const PlanarField& prior = *start.prior;
     std::vector<Propagation::Start> starts;
-    for (std::size_t i = 0; i < start->status.pixel_count(); ++i) {
-      if (start->status.data()[i] != Status::kOk || base_.status.data()[i] != Status::kOk) continue;
-      starts.emplace_back(static_cast<std::int64_t>(i),
-                          SubsetWarp::Of(start->displacement_px.data()[i],
-                                         start->gradient.data()[i].cast<double>()));
+    for (std::size_t i = 0; i < prior.status.pixel_count(); ++i) {
+      if (prior.status.data()[i] != Status::kOk || base_.status.data()[i] != Status::kOk) continue;
+      starts.emplace_back(
+          static_cast<std::int64_t>(i),
+          SubsetWarp::Of(prior.displacement_px.data()[i], prior.gradient.data()[i].cast<double>()));
     }
-    best = From(deformed, prepared, starts);
+    best = From(deformed, prepared, starts, start, false);
     if (best.total.counts.ok * 2 >= static_cast<std::int64_t>(starts.size()) &&
         best.total.counts.ok > 0) {
       return best;
     }
   }
-  ComposedField anew =
-      From(deformed, prepared,
-           StartsOf(FindSeeds(raw_, deformed, mask_.empty() ? nullptr : &mask_, options_.seeds)));
-  return start == nullptr || anew.total.counts.ok > best.total.counts.ok ? anew : best;
+  const Image<std::uint8_t>* const mask = mask_.empty() ? nullptr : &mask_;
+  const std::vector<CorrelationSeed> seeds =
+      start.seeds ? start.seeds(deformed) : FindSeeds(raw_, deformed, mask, options_.seeds);
+  ComposedField anew = From(deformed, prepared, StartsOf(seeds), start, true);
+  return start.prior == nullptr || anew.total.counts.ok > best.total.counts.ok ? anew : best;
 }
 
 // Each seed at the nearest point.
@@ -170,7 +164,8 @@ std::vector<Propagation::Start> UpdatedReference::StartsOf(
 }
 
 ComposedField UpdatedReference::From(const GrayImage& image, const CorrelationImage& deformed,
-                                     const std::vector<Propagation::Start>& starts) const {
+                                     const std::vector<Propagation::Start>& starts,
+                                     const FieldStart& start, bool from_seeds) const {
   ComposedField result;
   result.leg = PlanarField(base_.size(), base_.first_px, base_.step_px);
   result.leg.subset_px = base_.subset_px;
@@ -180,11 +175,11 @@ ComposedField UpdatedReference::From(const GrayImage& image, const CorrelationIm
     if (base_.status.data()[i] != Status::kOk) result.leg.status.data()[i] = Status::kMasked;
   }
   FieldCounts& counts = result.total.counts;
-  Propagation propagation(correlator_, deformed, result.leg, &pixels_);
+  Propagation propagation(correlator_, deformed, result.leg, &pixels_, start.curvature);
   propagation.Try(starts);
   propagation.Spread();
   counts.seeds = static_cast<std::int64_t>(starts.size());
-  if (options_.verify) {
+  if (options_.verify && (from_seeds || start.verify_back)) {
     RejectNotFoundBack({raw_, reference_, image, deformed, mask_.empty() ? nullptr : &mask_},
                        options_, propagation, result.leg, counts);
   }
@@ -265,6 +260,8 @@ void UpdatedReference::Compose(std::int64_t point, const SubsetWarp& warp,
   total.displacement_px.data()[i] = pixel + warp.Apply(offset) - bias.displacement_px - x;
   total.gradient.data()[i] = ((F_leg - bias_F) * F_base - one).cast<float>();
 
+  // The first image's part of it stays what it was.
+  total.reference_share.data()[i] = 0.5F;
   // The legs that end and begin at this image share its noise, but for the offset of their subsets;
   // and each takes its value beside its subset's centre.
   const Eigen::Vector2d before_offset = base_offset_px_.empty()

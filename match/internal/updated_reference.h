@@ -24,15 +24,15 @@ class UpdatedReference {
   UpdatedReference(const GrayImage& image, const ComposedField& base,
                    const Image<std::uint8_t>& mask, const FieldOptions& options);
 
-  // `start`: a field of the same grid with displacements from this image; seeds are looked for
-  // where it is null or leads nowhere.
-  ComposedField Correlate(const GrayImage& deformed, const PlanarField* start) const;
+  // As FieldCorrelator::Correlate(); the prior's displacements count from this image.
+  ComposedField Correlate(const GrayImage& deformed, const FieldStart& start) const;
 
   std::int64_t lost() const { return lost_; }  // points that base has no value for
 
  private:
   ComposedField From(const GrayImage& image, const CorrelationImage& deformed,
-                     const std::vector<std::pair<std::int64_t, SubsetWarp>>& starts) const;
+                     const std::vector<std::pair<std::int64_t, SubsetWarp>>& starts,
+                     const FieldStart& start, bool from_seeds) const;
   std::vector<std::pair<std::int64_t, SubsetWarp>> StartsOf(
       const std::vector<CorrelationSeed>& seeds) const;
   // What the noise of this image does to a leg's displacement and gradient in the mean: it takes

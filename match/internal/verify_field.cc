@@ -230,6 +230,7 @@ void TakeBack(std::int64_t point, Status why, PlanarField& field) {
   field.gradient.data()[i] = none.gradient(0, 0);
   field.cov_displacement_px2.data()[i] = none.cov_displacement_px2(0, 0);
   field.cov_gradient.data()[i] = none.cov_gradient(0, 0);
+  field.reference_share.data()[i] = none.reference_share(0, 0);
 }
 
 void RejectNotFoundBack(const MatchedImages& images, const FieldOptions& options,

@@ -307,13 +307,13 @@ TEST(CorrelateField, StartsFromAPriorField) {
     prior.displacement_px.data()[i].y() = std::nan("");
     prior.gradient.data()[i + 1](0, 0) = std::numeric_limits<float>::infinity();
   }
-  ExpectFound(correlator.Correlate(after.Render(), &prior), after, 0.99, "prior with NaN");
+  ExpectFound(correlator.Correlate(after.Render(), {&prior}), after, 0.99, "prior with NaN");
   // A jump, and a frame before of which nothing is known.
   Motion jumped;
   jumped.shift = {-30.4, 12.6};
-  ExpectFound(correlator.Correlate(jumped.Render(), &prior), jumped, 0.99, "jump");
+  ExpectFound(correlator.Correlate(jumped.Render(), {&prior}), jumped, 0.99, "jump");
   const PlanarField nothing = correlator.Correlate(Flat(0)).field;
-  ExpectFound(correlator.Correlate(after.Render(), &nothing), after, 0.99, "nothing known");
+  ExpectFound(correlator.Correlate(after.Render(), {&nothing}), after, 0.99, "nothing known");
 }
 
 TEST(CorrelateField, WorksOnImagesSmallerThanASeedsSubset) {
@@ -367,7 +367,7 @@ TEST(CorrelateField, RefusesBadInputInOneSentence) {
               AllOf(HasSubstr("deformed"), HasSubstr("5 x 5"), HasSubstr("260 x 240")));
   const PlanarField prior({3, 4}, {0, 0}, 8);
   EXPECT_THAT(MessageOf<InputError>(
-                  [&] { FieldCorrelator(reference, Options()).Correlate(reference, &prior); }),
+                  [&] { FieldCorrelator(reference, Options()).Correlate(reference, {&prior}); }),
               HasSubstr("grid"));
   EXPECT_THAT(MessageOf<UsageError>([&] { FieldCorrelator(reference, Options(24)); }),
               HasSubstr("odd number"));

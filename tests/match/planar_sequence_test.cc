@@ -252,9 +252,9 @@ TEST(FieldCorrelator, PassesOverPriorsThatAreNoNumbers) {
     prior.displacement_px.data()[i].x() = std::numeric_limits<double>::quiet_NaN();
     prior.gradient.data()[i](0, 1) = std::numeric_limits<float>::infinity();
   }
-  EXPECT_EQ(correlator.Correlate(motion.Render(2, 1, 3), &prior).counts.ok, 30);
+  EXPECT_EQ(correlator.Correlate(motion.Render(2, 1, 3), {&prior}).counts.ok, 30);
   for (Eigen::Vector2d& d : prior.displacement_px.values()) d.setConstant(NAN);
-  EXPECT_EQ(correlator.Correlate(motion.Render(2, 1, 3), &prior).counts.ok, 30);
+  EXPECT_EQ(correlator.Correlate(motion.Render(2, 1, 3), {&prior}).counts.ok, 30);
 }
 
 TEST(PlanarSequence, ProveErrorsOfSequences) {

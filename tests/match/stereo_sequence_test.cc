@@ -1,0 +1,176 @@
+#include "match/stereo_sequence.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <vector>
+
+#include "calib/error.h"
+#include "tests/support/rendered_surface.h"
+
+namespace plumbline {
+namespace {
+
+using testing::ConvergentRig;
+using testing::SpeckledSheet;
+
+constexpr ImageSize kSize{360, 280};
+constexpr double kNoiseGrey = 1.5;
+
+StereoRig Rig() { return ConvergentRig(kSize, 1500, 400, 110); }
+
+// The sheet at an instant: it moves, turns and stretches.
+SpeckledSheet SheetAt(int frame, double radius_mm = 0) {
+  SpeckledSheet sheet;
+  const double t = frame;
+  sheet.rig_from_sheet =
+      Rigid3::FromRotationVector({0.05, -0.1, 0.1 + 0.01 * t}, {0.3 * t, -0.2 * t, 400 + 0.5 * t});
+  sheet.stretch << 1 + 0.01 * t, 0.002 * t, 0, 1 - 0.004 * t;
+  sheet.radius_mm = radius_mm;
+  return sheet;
+}
+
+StereoSequenceOptions Options(StereoStrategy strategy) {
+  StereoSequenceOptions options;
+  options.strategy = strategy;
+  options.field.correlator.subset_px = 29;
+  options.field.step_px = 12;
+  options.field.correlator.noise = NoiseModel{kNoiseGrey * kNoiseGrey, 0};
+  return options;
+}
+
+struct Errors {
+  int points = 0, ok = 0, outside = 0;  // outside: off by more than 5 sigma and 0.03 px
+  double left = 0, right = 0;           // squares of errors in sigmas
+  double PerDimension() const { return (left + right) / (4.0 * ok); }
+  double Right() const { return right / (2.0 * ok); }
+};
+
+Errors Compare(const StereoRig& rig, const SpeckledSheet& first, const SpeckledSheet& now,
+               const StereoField& field) {
+  Errors errors;
+  for (int r = 0; r < field.left.size().height; ++r) {
+    for (int c = 0; c < field.left.size().width; ++c) {
+      ++errors.points;
+      if (field.left.status(r, c) != Status::kOk || field.right.status(r, c) != Status::kOk) {
+        continue;
+      }
+      ++errors.ok;
+      const Eigen::Vector2d pixel = field.left.PixelOf(r, c);
+      const Eigen::Vector3d point = now.PointInRig(first.MaterialAt(rig, pixel));
+      const auto check = [&](const PlanarField& match, const Eigen::Vector2d& truth,
+                             double& squares) {
+        const Eigen::Vector2d off = pixel + match.displacement_px(r, c) - truth;
+        const Eigen::Matrix2d cov = CovarianceOf(match.cov_displacement_px2(r, c));
+        if (cov.trace() > 0) squares += off.dot(cov.ldlt().solve(off));
+        const double sigma = std::sqrt(cov.trace());
+        if (off.norm() > 5 * sigma && off.norm() > 0.03) ++errors.outside;
+      };
+      check(field.left, rig.left.Project(point), errors.left);
+      check(field.right, rig.right.Project(rig.right_from_left * point), errors.right);
+    }
+  }
+  return errors;
+}
+
+class StereoSequenceOf : public ::testing::TestWithParam<StereoStrategy> {};
+
+TEST_P(StereoSequenceOf, FollowsMaterialPointsInBothImages) {
+  const StereoRig rig = Rig();
+  const SpeckledSheet first = SheetAt(0);
+  StereoSequence sequence(rig, first.Left(rig, kNoiseGrey, 1), first.Right(rig, kNoiseGrey, 2),
+                          Options(GetParam()));
+  for (int frame = 1; frame <= 3; ++frame) {
+    const SpeckledSheet now = SheetAt(frame);
+    const auto seed = static_cast<std::uint32_t>(10 * frame);
+    const StereoField field =
+        sequence.Add(now.Left(rig, kNoiseGrey, seed), now.Right(rig, kNoiseGrey, seed + 1), frame);
+    const Errors errors = Compare(rig, first, now, field);
+    EXPECT_GT(errors.ok, errors.points * 85 / 100) << frame;
+    EXPECT_EQ(errors.outside, 0) << frame;
+    EXPECT_NEAR(errors.PerDimension(), 1, 0.2) << frame;
+  }
+}
+
+INSTANTIATE_TEST_SUITE_P(Strategies, StereoSequenceOf,
+                         ::testing::Values(StereoStrategy::kReference, StereoStrategy::kFreshStereo,
+                                           StereoStrategy::kIncremental),
+                         [](const auto& info) {
+                           std::string name(
+                               kStereoStrategyNames[static_cast<std::size_t>(info.param)]);
+                           std::erase(name, '-');
+                           return name;
+                         });
+
+TEST(StereoSequence, StartsAnywhereAfterARestart) {
+  const StereoRig rig = Rig();
+  const SpeckledSheet first = SheetAt(0), later = SheetAt(6);
+  StereoSequence sequence(rig, first.Left(rig, kNoiseGrey, 1), first.Right(rig, kNoiseGrey, 2),
+                          Options(StereoStrategy::kReference));
+  sequence.Restart();
+  const StereoField field =
+      sequence.Add(later.Left(rig, kNoiseGrey, 3), later.Right(rig, kNoiseGrey, 4), 6);
+  const Errors errors = Compare(rig, first, later, field);
+  EXPECT_GT(errors.ok, errors.points * 80 / 100);
+  EXPECT_EQ(errors.outside, 0);
+
+  // The same once more is the same to the last bit.
+  sequence.Restart();
+  const StereoField again =
+      sequence.Add(later.Left(rig, kNoiseGrey, 3), later.Right(rig, kNoiseGrey, 4), 6);
+  EXPECT_EQ(again.right.status.values(), field.right.status.values());
+  for (std::size_t i = 0; i < field.right.status.pixel_count(); ++i) {
+    if (field.right.status.data()[i] != Status::kOk) continue;
+    EXPECT_EQ(again.right.displacement_px.data()[i], field.right.displacement_px.data()[i]);
+  }
+}
+
+TEST(StereoSequence, GoesOnAfterABlankPair) {
+  const StereoRig rig = Rig();
+  const SpeckledSheet first = SheetAt(0), now = SheetAt(1);
+  StereoSequence sequence(rig, first.Left(rig, kNoiseGrey, 1), first.Right(rig, kNoiseGrey, 2),
+                          Options(StereoStrategy::kReference));
+  const GrayImage blank{Image<std::uint16_t>(kSize, 90), 8};
+  const StereoField nothing = sequence.Add(blank, blank, 1);
+  EXPECT_EQ(nothing.left_counts.ok, 0);
+  EXPECT_EQ(nothing.right_counts.ok, 0);
+  const StereoField field =
+      sequence.Add(now.Left(rig, kNoiseGrey, 3), now.Right(rig, kNoiseGrey, 4), 2);
+  EXPECT_GT(Compare(rig, first, now, field).ok, 300);
+}
+
+// Between converging cameras even a plane is seen with second derivatives (of a homography, 2 tan
+// 15 deg / f), and a cylinder with more.
+TEST(StereoSequence, GivesTheCurvatureOfTheViewsToItsSubsets) {
+  const StereoRig rig = Rig();
+  const SpeckledSheet bent = SheetAt(0, 150);
+  const GrayImage left = bent.Left(rig, 0.5, 1), right = bent.Right(rig, 0.5, 2);
+  StereoSequenceOptions options = Options(StereoStrategy::kReference);
+  options.field.correlator.noise = NoiseModel{0.25, 0};
+  const StereoSequence with(rig, left, right, options);
+  EXPECT_TRUE(with.follows_curvature());
+  options.follow_curvature = false;
+  const StereoSequence without(rig, left, right, options);
+  EXPECT_FALSE(without.follows_curvature());
+  const double biased = Compare(rig, bent, bent, without.reference()).Right();
+  const double followed = Compare(rig, bent, bent, with.reference()).Right();
+  EXPECT_GT(biased, 3);
+  EXPECT_LT(followed, 1.25);
+}
+
+TEST(StereoSequence, RefusesWhatIsNoSequenceOfOneRig) {
+  const StereoRig rig = Rig();
+  const SpeckledSheet first = SheetAt(0);
+  StereoSequence sequence(rig, first.Left(rig, 1, 1), first.Right(rig, 1, 2),
+                          Options(StereoStrategy::kIncremental));
+  const GrayImage small{Image<std::uint16_t>({100, 80}, 7), 8};
+  EXPECT_THROW(sequence.Add(small, small, 1), InputError);
+  EXPECT_THROW(sequence.Restart(), std::logic_error);
+  StereoSequenceOptions options = Options(StereoStrategy::kIncremental);
+  options.update_every = 0;
+  EXPECT_THROW(options.Check(), UsageError);
+}
+
+}  // namespace
+}  // namespace plumbline
