@@ -43,10 +43,16 @@ PlanarField::PlanarField(ImageSize grid, const Eigen::Vector2i& first, int step)
 }
 
 Eigen::Matrix2d CovarianceOf(const Eigen::Vector3f& triangle) { return Unpacked<2>(triangle); }
+Eigen::Matrix3d CovarianceOf(const Eigen::Matrix<float, 6, 1>& triangle) {
+  return Unpacked<3>(triangle);
+}
 Eigen::Matrix4d CovarianceOf(const Eigen::Matrix<float, 10, 1>& triangle) {
   return Unpacked<4>(triangle);
 }
 Eigen::Vector3f TriangleOf(const Eigen::Matrix2d& covariance) { return Packed<3>(covariance); }
+Eigen::Matrix<float, 6, 1> TriangleOf(const Eigen::Matrix3d& covariance) {
+  return Packed<6>(covariance);
+}
 Eigen::Matrix<float, 10, 1> TriangleOf(const Eigen::Matrix4d& covariance) {
   return Packed<10>(covariance);
 }

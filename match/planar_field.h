@@ -39,11 +39,13 @@ struct PlanarField {
   }
 };
 
-// The covariances of a field as matrices, and back: (u, v) from 3 numbers, (du/dx, du/dy, dv/dx,
-// dv/dy) from 10, the upper triangle row by row.
+// The covariances of a field as matrices, and back: (u, v) from 3 numbers, a strain's (xx, yy, xy)
+// from 6, (du/dx, du/dy, dv/dx, dv/dy) from 10, the upper triangle row by row.
 Eigen::Matrix2d CovarianceOf(const Eigen::Vector3f& triangle);
+Eigen::Matrix3d CovarianceOf(const Eigen::Matrix<float, 6, 1>& triangle);
 Eigen::Matrix4d CovarianceOf(const Eigen::Matrix<float, 10, 1>& triangle);
 Eigen::Vector3f TriangleOf(const Eigen::Matrix2d& covariance);
+Eigen::Matrix<float, 6, 1> TriangleOf(const Eigen::Matrix3d& covariance);
 Eigen::Matrix<float, 10, 1> TriangleOf(const Eigen::Matrix4d& covariance);
 
 }  // namespace plumbline

@@ -6,6 +6,8 @@
 #include <algorithm>
 #include <cmath>
 #include <limits>
+#include <utility>
+#include <vector>
 
 #include "calib/error.h"
 #include "track/internal/gauge_fit.h"
@@ -14,9 +16,6 @@ namespace plumbline {
 namespace {
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
-// Small enough that a tile's sums stay in the cache, large enough that what its windows reach
-// around it does not count.
-constexpr int kTileRows = 32, kTileColumns = 64;
 
 void CheckSizes(const PlanarField& field, bool gradients) {
   const ImageSize size = field.size();
@@ -45,8 +44,6 @@ double WeightOf(const PlanarField& field, int row, int column, GaugeWeights weig
   return mean_px2 > 0 ? 1 / mean_px2 : 0;
 }
 
-float Sigma(double variance) { return static_cast<float>(std::sqrt(std::max(0.0, variance))); }
-
 // Strain and all that follows from it at one point. Its status becomes kFailedVerification where
 // there is none.
 void SetPoint(const Eigen::Matrix2d& gradient, const Eigen::Matrix4d& cov_gradient, int row,
@@ -59,23 +56,22 @@ void SetPoint(const Eigen::Matrix2d& gradient, const Eigen::Matrix4d& cov_gradie
   }
   out.status(row, column) = Status::kOk;
   out.strain(row, column) = measured.strain.cast<float>();
-  out.cov_strain(row, column) << Eigen::Matrix<double, 6, 1>(cov(0, 0), cov(0, 1), cov(0, 2),
-                                                             cov(1, 1), cov(1, 2), cov(2, 2))
-                                     .cast<float>();
+  out.cov_strain(row, column) = TriangleOf(cov);
   out.rotation_rad(row, column) = static_cast<float>(measured.rotation_rad);
+  const double rotation_variance =
+      measured.d_rotation * cov_gradient * measured.d_rotation.transpose();
   out.sigma_rotation_rad(row, column) =
-      Sigma(measured.d_rotation * cov_gradient * measured.d_rotation.transpose());
+      static_cast<float>(std::sqrt(std::max(rotation_variance, 0.0)));
   const StrainInvariants invariants = InvariantsOf(measured.strain);
-  const auto sigma = [&](const Eigen::RowVector3d& d) { return Sigma(d * cov * d.transpose()); };
+  const InvariantSigmas sigmas = SigmasOf(invariants, cov);
   out.principal(row, column) = invariants.principal.cast<float>();
-  out.sigma_principal(row, column) = {sigma(invariants.d_principal.row(0)),
-                                      sigma(invariants.d_principal.row(1))};
+  out.sigma_principal(row, column) = sigmas.principal.cast<float>();
   out.angle_rad(row, column) = static_cast<float>(invariants.angle_rad);
-  out.sigma_angle_rad(row, column) = sigma(invariants.d_angle);
+  out.sigma_angle_rad(row, column) = static_cast<float>(sigmas.angle_rad);
   out.max_shear(row, column) = static_cast<float>(invariants.max_shear);
-  out.sigma_max_shear(row, column) = sigma(invariants.d_max_shear);
+  out.sigma_max_shear(row, column) = static_cast<float>(sigmas.max_shear);
   out.von_mises(row, column) = static_cast<float>(invariants.von_mises);
-  out.sigma_von_mises(row, column) = sigma(invariants.d_von_mises);
+  out.sigma_von_mises(row, column) = static_cast<float>(sigmas.von_mises);
 }
 
 void OfSubsets(const PlanarField& field, const Image<double>& weight, PlanarStrain& out) {
@@ -89,29 +85,28 @@ void OfSubsets(const PlanarField& field, const Image<double>& weight, PlanarStra
   });
 }
 
-void OfGauges(const internal::GaugeData& data, const PlanarStrainOptions& options,
-              PlanarStrain& out) {
-  const ImageSize size = out.size();
-  const int across = (size.width + kTileColumns - 1) / kTileColumns;
-  const int down = (size.height + kTileRows - 1) / kTileRows;
-  const int least = static_cast<int>(
-      std::ceil(options.min_share * options.window_points * options.window_points));
-  const double quarter = options.min_quarter_share * internal::QuarterPoints(data.half);
-  tbb::parallel_for(0, across * down, [&](int i) {
-    internal::GridTile tile{i / across * kTileRows, i % across * kTileColumns, kTileRows,
-                            kTileColumns};
-    tile.rows = std::min(tile.rows, size.height - tile.row);
-    tile.columns = std::min(tile.columns, size.width - tile.column);
-    const std::vector<internal::GaugeFit> fits = internal::FitGauges(data, tile, least);
+void OfGauges(const PlanarField& field, const internal::GaugeData& data,
+              const PlanarStrainOptions& options, PlanarStrain& out) {
+  const std::vector<internal::GridTile> tiles = internal::TilesOf(out.size());
+  const internal::GaugeRule rule(options.window_points, options.min_share,
+                                 options.min_quarter_share);
+  tbb::parallel_for(std::size_t{0}, tiles.size(), [&](std::size_t i) {
+    const internal::GridTile& tile = tiles[i];
+    const auto fits = internal::FitGauges(data, tile, rule.min_points).fits;
+    internal::GradientFilter filter(data.weight, tile, data.half, data.order);
+    std::vector<Eigen::Matrix2d> gradients(fits.size());
+    for (int component = 0; component < 2; ++component)
+      filter.Apply(
+          fits, [&](int r, int c) { return field.displacement_px(r, c)[component]; },
+          [&](std::size_t cell, const Eigen::RowVector2d& gradient) {
+            gradients[cell].row(component) = gradient;
+          });
     for (std::size_t cell = 0; cell < fits.size(); ++cell) {
-      const int row = tile.row + static_cast<int>(cell) / tile.columns;
-      const int column = tile.column + static_cast<int>(cell) % tile.columns;
-      const internal::GaugeFit& fit = fits[cell];
-      out.points(row, column) = static_cast<std::uint16_t>(fit.points);
+      const int row = tile.RowOf(cell), column = tile.ColumnOf(cell);
+      out.points(row, column) = static_cast<std::uint16_t>(fits[cell].points);
       if (!(data.weight(row, column) > 0)) continue;
-      const auto& quarters = fit.quarter_points;
-      if (fit.solved && *std::min_element(quarters.begin(), quarters.end()) >= quarter) {
-        SetPoint(fit.gradient, fit.cov_gradient, row, column, out);
+      if (rule.IsMetBy(fits[cell])) {
+        SetPoint(gradients[cell], fits[cell].cov_gradient, row, column, out);
       } else {
         out.status(row, column) = Status::kExtrapolated;
       }
@@ -122,16 +117,7 @@ void OfGauges(const internal::GaugeData& data, const PlanarStrainOptions& option
 }  // namespace
 
 void PlanarStrainOptions::Check() const {
-  if (window_points < 1 || window_points > 255 || window_points % 2 == 0)
-    throw UsageError(
-        fmt::format("window_points must be odd and between 1 and 255, not {}", window_points));
-  if (order != 1 && order != 2)
-    throw UsageError(fmt::format("the order of a strain gauge must be 1 or 2, not {}", order));
-  if (!(min_share > 0 && min_share <= 1))
-    throw UsageError(fmt::format("min_share must be above 0 and at most 1, not {}", min_share));
-  if (!(min_quarter_share >= 0 && min_quarter_share <= 1))
-    throw UsageError(
-        fmt::format("min_quarter_share must be between 0 and 1, not {}", min_quarter_share));
+  internal::CheckGauge(window_points, 1, order, min_share, min_quarter_share);
 }
 
 PlanarStrain::PlanarStrain(ImageSize size)
@@ -165,25 +151,20 @@ PlanarStrain ComputePlanarStrain(const PlanarField& field, const NeighbourCorrel
   out.window_points = options.window_points;
   out.order = options.order;
   out.vsg_px = (options.window_points - 1) * field.step_px + field.subset_px;
-  internal::GaugeData data{field,
-                           correlation,
-                           Image<double>(field.size()),
-                           Image<Eigen::Vector2d>(field.size(), Eigen::Vector2d::Zero()),
-                           options.window_points / 2,
-                           options.order};
+  Image<double> weight(field.size());
   for (int row = 0; row < field.size().height; ++row) {
     for (int column = 0; column < field.size().width; ++column) {
-      data.weight(row, column) = WeightOf(field, row, column, options.weights);
-      const Eigen::Vector3d cov = field.cov_displacement_px2(row, column).cast<double>();
-      data.sigma_px(row, column) = {std::sqrt(cov[0]), std::sqrt(cov[2])};
+      weight(row, column) = WeightOf(field, row, column, options.weights);
       const Status status = field.status(row, column);
       out.status(row, column) = status == Status::kOk ? Status::kFailedVerification : status;
     }
   }
   if (of_subsets) {
-    OfSubsets(field, data.weight, out);
+    OfSubsets(field, weight, out);
   } else {
-    OfGauges(data, options, out);
+    const internal::GaugeData data(correlation, field.cov_displacement_px2, std::move(weight),
+                                   field.step_px, options.window_points / 2, options.order);
+    OfGauges(field, data, options, out);
   }
   return out;
 }

@@ -1,6 +1,7 @@
 #include "track/strain_measure.h"
 
 #include <Eigen/LU>
+#include <algorithm>
 #include <cmath>
 #include <limits>
 
@@ -117,6 +118,17 @@ StrainInvariants InvariantsOf(const Eigen::Vector3d& strain) {
   out.d_von_mises = Eigen::RowVector3d(2 * xx + yy, xx + 2 * yy, 2 * xy) *
                     (root > 0 ? 0.5 * factor / root : kNan);
   return out;
+}
+
+InvariantSigmas SigmasOf(const StrainInvariants& invariants, const Eigen::Matrix3d& cov_strain) {
+  const auto sigma = [&](const Eigen::RowVector3d& d) {
+    const double variance = d * cov_strain * d.transpose();
+    return std::sqrt(std::max(variance, 0.0));
+  };
+  return {{sigma(invariants.d_principal.row(0)), sigma(invariants.d_principal.row(1))},
+          sigma(invariants.d_angle),
+          sigma(invariants.d_max_shear),
+          sigma(invariants.d_von_mises)};
 }
 
 }  // namespace plumbline

@@ -54,4 +54,14 @@ struct StrainInvariants {
 
 [[nodiscard]] StrainInvariants InvariantsOf(const Eigen::Vector3d& strain);
 
+// One standard deviation each, first order, from the covariance of (xx, yy, xy). NaN where there is
+// no derivative.
+struct InvariantSigmas {
+  Eigen::Vector2d principal;
+  double angle_rad, max_shear, von_mises;
+};
+
+[[nodiscard]] InvariantSigmas SigmasOf(const StrainInvariants& invariants,
+                                       const Eigen::Matrix3d& cov_strain);
+
 }  // namespace plumbline

@@ -171,13 +171,6 @@ Eigen::Matrix3d DenseCovariance(const PlanarField& field, const NeighbourCorrela
   return J * cov * J.transpose();
 }
 
-Eigen::Matrix3d CovarianceAt(const PlanarStrain& strain, int row, int column) {
-  const auto& c = strain.cov_strain(row, column);
-  Eigen::Matrix3d cov;
-  cov << c[0], c[1], c[2], c[1], c[3], c[4], c[2], c[4], c[5];
-  return cov;
-}
-
 TEST(PlanarStrain, CovarianceIsTheSumOverAllPairs) {
   PlanarField field = FieldOf({70, 40}, 4, [](double x, double y) {
     return Eigen::Vector2d(0.05 * x + 0.02 * y, -0.3 * x + 0.1 * y);
@@ -203,9 +196,9 @@ TEST(PlanarStrain, CovarianceIsTheSumOverAllPairs) {
            {std::pair{20, 30}, {1, 20}, {31, 63}, {32, 64}, {37, 67}, {10, 5}}) {
         ASSERT_EQ(strain.status(r, c), Status::kOk) << r << ' ' << c;
         const Eigen::Matrix3d expected = DenseCovariance(field, correlation, options, r, c);
-        EXPECT_LT((CovarianceAt(strain, r, c) - expected).norm(), 1e-5 * expected.norm())
+        EXPECT_LT((CovarianceOf(strain.cov_strain(r, c)) - expected).norm(), 1e-5 * expected.norm())
             << r << ' ' << c << '\n'
-            << CovarianceAt(strain, r, c) << '\n'
+            << CovarianceOf(strain.cov_strain(r, c)) << '\n'
             << expected;
       }
     }
@@ -230,7 +223,8 @@ TEST(PlanarStrain, OfOnePointIsTheSubsetsOwn) {
   EXPECT_LT((strain.strain(0, 0).cast<double>() - expected.strain).norm(), 1e-7);
   const Eigen::Matrix3d expected_cov =
       1e-6 * expected.d_strain * full * expected.d_strain.transpose();
-  EXPECT_LT((CovarianceAt(strain, 0, 0) - expected_cov).norm(), 1e-6 * expected_cov.norm());
+  EXPECT_LT((CovarianceOf(strain.cov_strain(0, 0)) - expected_cov).norm(),
+            1e-6 * expected_cov.norm());
   EXPECT_EQ(strain.status(1, 1), Status::kMasked);
   EXPECT_TRUE(strain.strain(1, 1).array().isNaN().all());
   field.order = 0;
@@ -408,7 +402,7 @@ struct Consistency {
       for (int c = 0; c < strain.size().width; ++c) {
         if (strain.status(r, c) != Status::kOk) continue;
         const Eigen::Vector3d error = strain.strain(r, c).cast<double>() - truth.strain;
-        const Eigen::Matrix3d cov = CovarianceAt(strain, r, c);
+        const Eigen::Matrix3d cov = CovarianceOf(strain.cov_strain(r, c));
         nees += error.dot(cov.inverse() * error);
         points += 1;
         for (int i = 0; i < 3; ++i) Interval(error[i], std::sqrt(cov(i, i)));

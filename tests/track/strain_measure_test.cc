@@ -155,5 +155,20 @@ TEST(StrainInvariants, DerivativesAreThoseOfTheValues) {
   }
 }
 
+TEST(StrainInvariants, HaveNoSigmaWhereTheyHaveNoDerivative) {
+  const Eigen::Matrix3d cov = Eigen::Vector3d(4e-8, 1e-8, 2e-8).asDiagonal();
+  // Along the axes: the principals are xx and yy, and only xy turns them.
+  const InvariantSigmas apart = SigmasOf(InvariantsOf({0.03, 0.01, 0}), cov);
+  EXPECT_NEAR(apart.principal[0], 2e-4, 1e-12);
+  EXPECT_NEAR(apart.principal[1], 1e-4, 1e-12);
+  EXPECT_NEAR(apart.angle_rad, std::sqrt(2e-8) / 0.02, 1e-10);
+  EXPECT_NEAR(apart.max_shear, 0.5 * std::sqrt(5e-8), 1e-12);
+  const InvariantSigmas equal = SigmasOf(InvariantsOf({0.02, 0.02, 0}), cov);
+  EXPECT_TRUE(equal.principal.array().isNaN().all());
+  EXPECT_TRUE(std::isnan(equal.angle_rad));
+  EXPECT_TRUE(std::isnan(equal.max_shear));
+  EXPECT_GT(equal.von_mises, 0);
+}
+
 }  // namespace
 }  // namespace plumbline

@@ -1,8 +1,11 @@
 #pragma once
 
 #include <algorithm>
+#include <array>
 #include <cstddef>
 #include <vector>
+
+#include "calib/image.h"
 
 namespace plumbline::internal {
 
@@ -12,6 +15,9 @@ struct GridTile {
   std::size_t cells() const {
     return static_cast<std::size_t>(rows) * static_cast<std::size_t>(columns);
   }
+  // Of the grid; cells go row by row.
+  int RowOf(std::size_t cell) const { return row + static_cast<int>(cell) / columns; }
+  int ColumnOf(std::size_t cell) const { return column + static_cast<int>(cell) % columns; }
 };
 
 // Offsets from a window's centre, both ends included.
@@ -41,6 +47,25 @@ class PaddedTile {
   int half_, rows_, columns_;
   std::vector<double> values_;
 };
+
+// Fills padded tiles, one a component, from the points of the field that they cover: value(row,
+// column) is the array of the components there.
+template <std::size_t kTiles, typename Value>
+void Fill(const GridTile& tile, ImageSize field, const Value& value,
+          std::array<PaddedTile, kTiles>& out) {
+  const int half = out[0].half();
+  const int first = std::max(0, half - tile.column);
+  const int last = std::min(out[0].columns(), field.width - tile.column + half);
+  for (PaddedTile& component : out) component.Clear();
+  for (int r = 0; r < out[0].rows(); ++r) {
+    const int row = tile.row - half + r;
+    if (row < 0 || row >= field.height) continue;
+    for (int c = first; c < last; ++c) {
+      const auto values = value(row, tile.column - half + c);
+      for (std::size_t i = 0; i < kTiles; ++i) out[i].row(r)[c] = values[i];
+    }
+  }
+}
 
 // The index of x^a y^b among 1, x, y, x^2, x y, y^2, x^3, ...
 constexpr int MomentIndex(int a, int b) { return (a + b) * (a + b + 1) / 2 + b; }
