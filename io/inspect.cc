@@ -10,7 +10,7 @@
 #include "io/internal/hdf5.h"
 #include "io/internal/rig_group.h"
 #include "io/internal/series_datasets.h"
-#include "io/internal/series_pack.h"
+#include "io/internal/series_parts.h"
 #include "io/planar_series_reader.h"
 #include "io/rig_file.h"
 #include "io/series_reader.h"
@@ -159,7 +159,9 @@ std::vector<std::string> Validate(const fs::path& file) {
   std::vector<std::string> findings;
   const fs::path parts = internal::PartsFolder(file);
   std::error_code ignored;
-  if (fs::exists(parts, ignored)) {
+  if (fs::exists(parts, ignored) && !internal::HoldsARun(file)) {
+    findings.push_back(fmt::format("{} is left over from a run; delete it", parts.string()));
+  } else if (fs::exists(parts, ignored)) {
     findings.push_back(
         fmt::format("{} holds the frames of a run that was not finished; recover them (plumbline "
                     "recover {}) or delete that folder",

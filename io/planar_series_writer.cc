@@ -22,11 +22,14 @@ struct PlanarSeriesWriter::Impl {
   internal::SeriesRun run;
 };
 
-PlanarSeriesWriter::PlanarSeriesWriter(const fs::path& file, const PlanarSeriesHeader& header)
-    : impl_(new Impl{header, internal::SeriesRun(file, CheckedShape(header), header.inputs,
-                                                 [&](const fs::path& temporary) {
-                                                   internal::WritePlanarHeader(temporary, header);
-                                                 })}) {}
+PlanarSeriesWriter::PlanarSeriesWriter(const fs::path& file, const PlanarSeriesHeader& header,
+                                       SeriesStart start)
+    : impl_(new Impl{header, internal::SeriesRun(
+                                 file, CheckedShape(header), header.inputs,
+                                 [&](const fs::path& temporary) {
+                                   internal::WritePlanarHeader(temporary, header);
+                                 },
+                                 start)}) {}
 
 PlanarSeriesWriter::~PlanarSeriesWriter() = default;
 
@@ -43,6 +46,9 @@ void PlanarSeriesWriter::Commit(const PlanarSeriesFrame& frame) {
 }
 
 std::int64_t PlanarSeriesWriter::committed() const { return impl_->run.committed(); }
+std::optional<std::int64_t> PlanarSeriesWriter::last_index() const {
+  return impl_->run.last_index();
+}
 
 void PlanarSeriesWriter::Close() { impl_->run.Close(); }
 

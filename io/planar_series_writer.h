@@ -3,8 +3,10 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 
 #include "io/planar_series.h"
+#include "io/series_start.h"
 
 namespace plumbline {
 
@@ -20,10 +22,11 @@ namespace plumbline {
 // Not thread-safe (one writer, one thread); packs a frame with all of TBB's threads.
 class PlanarSeriesWriter {
  public:
-  // Throws EnvironmentError naming the folder or file (not writable, disk full), InputError when an
-  // unfinished run of the same name is there, std::invalid_argument naming what in the header is
-  // none of the values named there.
-  PlanarSeriesWriter(const std::filesystem::path& file, const PlanarSeriesHeader& header);
+  // Throws EnvironmentError naming the folder or file (not writable, disk full), InputError when
+  // the start is refused (see SeriesStart), std::invalid_argument naming what in the header is none
+  // of the values named there.
+  PlanarSeriesWriter(const std::filesystem::path& file, const PlanarSeriesHeader& header,
+                     SeriesStart start = SeriesStart::kNew);
 
   // Without Close(): keeps the parts for RecoverSeries() if a frame was committed.
   ~PlanarSeriesWriter();
@@ -35,7 +38,10 @@ class PlanarSeriesWriter {
   // is not of the grid's size.
   void Commit(const PlanarSeriesFrame& frame);
 
+  // Frames that are on the disk, those of before a resume too, and the index of the last of them;
+  // nothing: there is none.
   std::int64_t committed() const;
+  std::optional<std::int64_t> last_index() const;
 
   // Throws EnvironmentError; the parts then stay.
   void Close();

@@ -6,6 +6,7 @@
 #include "io/internal/series_header.h"
 #include "io/internal/series_layout.h"
 #include "io/internal/series_pack.h"
+#include "io/internal/series_parts.h"
 #include "io/internal/series_run.h"
 
 namespace plumbline {
@@ -23,10 +24,11 @@ struct SeriesWriter::Impl {
   internal::SeriesRun run;
 };
 
-SeriesWriter::SeriesWriter(const fs::path& file, const SeriesHeader& header)
+SeriesWriter::SeriesWriter(const fs::path& file, const SeriesHeader& header, SeriesStart start)
     : impl_(new Impl{internal::SeriesRun(
           file, CheckedShape(header), header.inputs,
-          [&](const fs::path& temporary) { internal::WriteSeriesHeader(temporary, header); })}) {}
+          [&](const fs::path& temporary) { internal::WriteSeriesHeader(temporary, header); },
+          start)}) {}
 
 SeriesWriter::~SeriesWriter() = default;
 
@@ -35,6 +37,7 @@ void SeriesWriter::Commit(const SeriesFrame& frame) {
 }
 
 std::int64_t SeriesWriter::committed() const { return impl_->run.committed(); }
+std::optional<std::int64_t> SeriesWriter::last_index() const { return impl_->run.last_index(); }
 
 void SeriesWriter::Close() { impl_->run.Close(); }
 

@@ -4,6 +4,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -11,6 +12,7 @@
 #include "calib/stereo_rig.h"
 #include "io/rig_file.h"
 #include "io/series_frame.h"
+#include "io/series_start.h"
 
 namespace plumbline {
 
@@ -57,8 +59,8 @@ struct SeriesHeader {
 // While it goes on, everything lies in the folder `<file>.parts`: header.h5, and a journal in which
 // each frame is written, checksummed and forced to the disk before Commit() returns. Close() packs
 // both into `file` (temporary name, fsync, rename) and removes the folder. A run that is killed, or
-// meets a full disk, loses no committed frame: RecoverSeries() packs what is there. Memory is that
-// of one frame, whatever the length of the run.
+// meets a full disk, loses no committed frame: RecoverSeries() packs what is there, or a writer
+// with SeriesStart::kResume goes on. Memory is that of one frame, whatever the length of the run.
 //
 // Numbers of points whose status is not kOk are written as NaN, and so is all that is infinite; a
 // point that claims kOk without a finite position, or a strain that does without a finite value, is
@@ -69,10 +71,11 @@ struct SeriesHeader {
 class SeriesWriter {
  public:
   // Throws EnvironmentError naming the folder or file (not writable, disk full), InputError when
-  // an unfinished run of the same name is there or a channel cannot be stored (its name, its size,
+  // the start is refused (see SeriesStart) or a channel cannot be stored (its name, its size,
   // times that go back), std::invalid_argument when the grid is empty or an attribute is none of
   // those named in SeriesHeader.
-  SeriesWriter(const std::filesystem::path& file, const SeriesHeader& header);
+  SeriesWriter(const std::filesystem::path& file, const SeriesHeader& header,
+               SeriesStart start = SeriesStart::kNew);
 
   // Without Close(): keeps the parts for RecoverSeries() if a frame was committed.
   ~SeriesWriter();
@@ -83,7 +86,10 @@ class SeriesWriter {
   // surface, or another field of points that is not empty, is not of the grid's size.
   void Commit(const SeriesFrame& frame);
 
+  // Frames that are on the disk, those of before a resume too, and the index of the last of them;
+  // nothing: there is none.
   std::int64_t committed() const;
+  std::optional<std::int64_t> last_index() const;
 
   // Throws EnvironmentError; the parts then stay.
   void Close();

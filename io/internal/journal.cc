@@ -50,12 +50,47 @@ int WriteAll(int fd, const void* from, std::size_t count) {
   return 0;
 }
 
+// Throws InputError where that fails or another process has it locked.
+int OpenLocked(const std::filesystem::path& file, int flags, bool lock) {
+  const int fd = open(file.c_str(), flags | O_CLOEXEC);
+  if (fd < 0) {
+    throw InputError(fmt::format("cannot open {}: {}", file.string(), std::strerror(errno)));
+  }
+  if (lock && flock(fd, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
+    close(fd);
+    throw InputError(
+        fmt::format("{} is being written by a run that is still going on; wait for "
+                    "its end, or stop it first",
+                    file.string()));
+  }
+  return fd;
+}
+
 }  // namespace
 
 JournalWriter::JournalWriter(const std::filesystem::path& file) : file_(file) {
   fd_ = open(file.c_str(), O_WRONLY | O_CREAT | O_EXCL | O_CLOEXEC, 0666);
   if (fd_ < 0) ThrowSystemError("cannot create", file, errno);
   flock(fd_, LOCK_EX | LOCK_NB);
+}
+
+JournalWriter::JournalWriter(
+    const std::filesystem::path& file,
+    const std::function<void(std::span<const std::uint8_t> payload)>& visit)
+    : file_(file) {
+  fd_ = OpenLocked(file, O_RDWR, true);
+  try {
+    JournalReader reader(file, false);
+    while (const auto payload = reader.Next()) visit(*payload);
+    index_ = reader.index();
+    size_ = reader.position();
+    if (ftruncate(fd_, size_) != 0 || lseek(fd_, size_, SEEK_SET) < 0 || fsync(fd_) != 0) {
+      ThrowSystemError("cannot go on with", file, errno);
+    }
+  } catch (...) {
+    close(fd_);
+    throw;
+  }
 }
 
 JournalWriter::~JournalWriter() { close(fd_); }
@@ -79,20 +114,17 @@ void JournalWriter::Append(std::span<const std::uint8_t> payload) {
 }
 
 JournalReader::JournalReader(const std::filesystem::path& file, bool lock) : file_(file) {
-  fd_ = open(file.c_str(), O_RDONLY | O_CLOEXEC);
-  if (fd_ < 0) {
-    throw InputError(fmt::format("cannot open {}: {}", file.string(), std::strerror(errno)));
-  }
-  if (lock && flock(fd_, LOCK_EX | LOCK_NB) != 0 && errno == EWOULDBLOCK) {
-    close(fd_);
-    throw InputError(
-        fmt::format("{} is being written by a run that is still going on; wait for "
-                    "its end, or stop it first",
-                    file.string()));
-  }
+  fd_ = OpenLocked(file, O_RDONLY, lock);
   struct stat facts {};
   fstat(fd_, &facts);
   size_ = facts.st_size;
+}
+
+JournalReader::JournalReader(const std::filesystem::path& file, const JournalPlace& begin)
+    : JournalReader(file, false) {
+  lseek(fd_, begin.offset, SEEK_SET);
+  index_ = begin.index;
+  position_ = begin.offset;
 }
 
 JournalReader::~JournalReader() { close(fd_); }
@@ -111,11 +143,12 @@ bool JournalReader::ReadExactly(void* to, std::size_t count) {
 
 std::optional<std::vector<std::uint8_t>> JournalReader::Next() {
   Head head;
-  if (!ReadExactly(&head, sizeof head) || head.magic != kMagic || head.head_crc != HeadCrc(head) ||
-      head.index != index_ ||
-      head.payload_size > static_cast<std::uint64_t>(size_ - position_) - sizeof head) {
+  at_end_ = !ReadExactly(&head, sizeof head);
+  if (at_end_ || head.magic != kMagic || head.head_crc != HeadCrc(head) || head.index != index_) {
     return std::nullopt;
   }
+  at_end_ = head.payload_size > static_cast<std::uint64_t>(size_ - position_) - sizeof head;
+  if (at_end_) return std::nullopt;
   std::vector<std::uint8_t> payload(head.payload_size);
   if (!ReadExactly(payload.data(), payload.size()) || Crc(payload) != head.payload_crc) {
     return std::nullopt;
@@ -123,12 +156,6 @@ std::optional<std::vector<std::uint8_t>> JournalReader::Next() {
   ++index_;
   position_ += static_cast<std::int64_t>(sizeof head + payload.size());
   return payload;
-}
-
-void JournalReader::Rewind() {
-  lseek(fd_, 0, SEEK_SET);
-  index_ = 0;
-  position_ = 0;
 }
 
 }  // namespace plumbline::internal

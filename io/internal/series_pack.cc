@@ -7,6 +7,9 @@
 #include "io/internal/frame_packer.h"
 #include "io/internal/hdf5.h"
 #include "io/internal/journal.h"
+#include "io/internal/rig_group.h"
+#include "io/internal/series_datasets.h"
+#include "io/internal/series_parts.h"
 
 namespace plumbline::internal {
 namespace fs = std::filesystem;
@@ -14,23 +17,15 @@ namespace {
 
 using hdf5::Id;
 
-struct JournalStart {
-  SeriesShape shape;
-  std::vector<fs::path> inputs;
-};
-
-JournalStart DecodeStart(std::span<const std::uint8_t> bytes) {
-  ByteReader in(bytes);
-  JournalStart start;
-  start.shape = in.Get<SeriesShape>();
-  const auto count = in.Get<std::uint64_t>();
-  for (std::uint64_t i = 0; i < count; ++i) start.inputs.emplace_back(in.GetText());
-  return start;
-}
-
 std::int64_t WritePacked(const fs::path& file_name, JournalReader& journal,
                          const JournalStart& start, const std::string& inputs) {
   Id file = hdf5::OpenFile(file_name, true);
+  // Records of points go by their place in the table of this version.
+  if (VersionOf(file.get()) != (IsPlanar(file.get()) ? 1 : kFormatVersion)) {
+    throw hdf5::Error(
+        fmt::format("the run was begun by {}, whose records this program does not know",
+                    hdf5::GetText(file.get(), "software")));
+  }
   std::int64_t frames = 0;
   const std::unique_ptr<FramePacker> packer = MakeFramePacker(file.get(), start.shape);
   while (const auto payload = journal.Next()) {
@@ -38,16 +33,12 @@ std::int64_t WritePacked(const fs::path& file_name, JournalReader& journal,
     ++frames;
   }
   packer->Finish();
-  hdf5::SetText(file.get(), "inputs", inputs.empty() ? DescribeInputs(start.inputs) : inputs);
+  hdf5::SetText(file.get(), "inputs", inputs.empty() ? DescribeInputs(start.InputPaths()) : inputs);
   file.Close("closing the file");
   return frames;
 }
 
 }  // namespace
-
-fs::path PartsFolder(const fs::path& series) { return series.string() + ".parts"; }
-fs::path JournalFile(const fs::path& series) { return PartsFolder(series) / "journal"; }
-fs::path HeaderFile(const fs::path& series) { return PartsFolder(series) / "header.h5"; }
 
 RecoveredSeries PackSeries(const fs::path& series, const std::string& inputs, bool lock) {
   const fs::path packed = PartsFolder(series) / "packed.h5";
@@ -68,7 +59,7 @@ RecoveredSeries PackSeries(const fs::path& series, const std::string& inputs, bo
     SyncPath(packed);
     fs::rename(packed, series);
     SyncPath(series.parent_path());
-    fs::remove_all(PartsFolder(series));
+    RemoveParts(series);
   } catch (const hdf5::Error& error) {
     throw EnvironmentError(fmt::format("cannot write {}: {}; its frames are kept in {}",
                                        series.string(), error.what(),

@@ -4,10 +4,12 @@
 #include <filesystem>
 #include <functional>
 #include <memory>
+#include <optional>
 #include <span>
 #include <vector>
 
 #include "io/internal/point_layout.h"
+#include "io/series_start.h"
 
 namespace plumbline::internal {
 
@@ -18,11 +20,12 @@ namespace plumbline::internal {
 class SeriesRun {
  public:
   // write_header writes header.h5 under the name that it is given. Throws EnvironmentError,
-  // InputError where an unfinished run of the same name is there, and what write_header throws;
-  // nothing is left behind then.
+  // InputError where the start is refused (see SeriesStart), and what write_header throws; nothing
+  // is left behind or changed then.
   SeriesRun(const std::filesystem::path& file, const SeriesShape& shape,
             const std::vector<std::filesystem::path>& inputs,
-            const std::function<void(const std::filesystem::path&)>& write_header);
+            const std::function<void(const std::filesystem::path&)>& write_header,
+            SeriesStart start = SeriesStart::kNew);
 
   // Without Close(): keeps the parts if a frame was committed.
   ~SeriesRun();
@@ -31,6 +34,7 @@ class SeriesRun {
 
   const SeriesShape& shape() const;
   std::int64_t committed() const;
+  std::optional<std::int64_t> last_index() const;
 
   // What the packer of this kind of series decodes. Throws EnvironmentError.
   void Commit(std::span<const std::uint8_t> record);

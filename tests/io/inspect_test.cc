@@ -3,6 +3,8 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <fstream>
+
 #include "tests/io/damaged_copies.h"
 #include "tests/io/series_fixture.h"
 #include "tests/support/shared_data.h"
@@ -250,6 +252,8 @@ TEST(Validate, FindsWhatIsWrongInARigFile) {
 TEST(Validate, FindsTheFolderOfAnUnfinishedRun) {
   const fs::path file = WriteThreeFrames(testing::TestFolder() / "run.h5");
   fs::create_directory(file.string() + ".parts");
+  EXPECT_THAT(Validate(file), ElementsAre(HasSubstr("run.h5.parts is left over")));
+  std::ofstream(file.string() + ".parts/journal") << 'x';
   EXPECT_THAT(Validate(file), ElementsAre(HasSubstr("run.h5.parts holds the frames of a run")));
 }
 
