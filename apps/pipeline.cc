@@ -12,7 +12,7 @@
 #include "apps/internal/surface_points.h"
 #include "calib/error.h"
 #include "calib/median.h"
-#include "calib/triangulate.h"
+#include "calib/mode_triangulation.h"
 
 namespace plumbline {
 namespace {
@@ -59,34 +59,47 @@ struct CalibrationPart {
   Eigen::Matrix3d cov_plane = Eigen::Matrix3d::Constant(kNanDouble);
 };
 
-CalibrationPart EvaluateModes(const StereoRig& rig, const SurfacePoints& points,
+// The differences of so many modes are held at a time, a float vector a point and mode.
+constexpr int kModeGroup = 4;
+
+CalibrationPart EvaluateModes(const ModeTriangulation& modes, const SurfacePoints& points,
                               const std::optional<GroundPlane>& plane, bool in_ground,
                               const Rigid3& ground_from_rig, double correlation_area) {
   CalibrationPart part;
   const std::size_t count = points.point_in_rig.size();
-  if (rig.modes.count() == 0) {
+  if (modes.count() == 0) {
     part.variance_mm2.assign(count, Eigen::Vector3d::Constant(kNanDouble));
     return part;
   }
   part.variance_mm2.assign(count, Eigen::Vector3d::Zero());
   if (plane) part.cov_plane.setZero();
-  for (int k = 0; k < rig.modes.count(); ++k) {
-    const std::vector<Eigen::Vector3d> moved =
-        TriangulatePoints(rig.AlongMode(k), points.left, points.right);
-    Rigid3 back;  // from the mode's rig frame to where the positions are compared
-    if (plane) {
-      const GroundPlane plane_k =
-          RefitPlane(moved, points.cov_mm2, plane->inlier, correlation_area);
-      const Eigen::Vector3d difference = PlaneDifference(*plane, plane_k);
-      part.cov_plane += difference * difference.transpose();
-      back = GroundFromRig(plane_k, Eigen::Vector3d::Zero(), plane_k.centroid);
+  std::vector<Eigen::Vector3d> moved(count);
+  std::vector<Eigen::Vector3f> differences;
+  for (int first = 0; first < modes.count(); first += kModeGroup) {
+    const int group = std::min(kModeGroup, modes.count() - first);
+    differences.resize(count * static_cast<std::size_t>(group));
+    modes.Differences(points.left, points.right, first, group, differences);
+    for (int k = 0; k < group; ++k) {
+      ForEachPoint(count, [&](std::size_t i) {
+        moved[i] = points.point_in_rig[i] +
+                   differences[i * static_cast<std::size_t>(group) + static_cast<std::size_t>(k)]
+                       .cast<double>();
+      });
+      Rigid3 back;  // from the mode's rig frame to where the positions are compared
+      if (plane) {
+        const GroundPlane plane_k =
+            RefitPlane(moved, points.cov_mm2, plane->inlier, correlation_area);
+        const Eigen::Vector3d difference = PlaneDifference(*plane, plane_k);
+        part.cov_plane += difference * difference.transpose();
+        back = GroundFromRig(plane_k, Eigen::Vector3d::Zero(), plane_k.centroid);
+      }
+      if (!in_ground) back = internal::BestRigidMotion(moved, points.point_in_rig);
+      ForEachPoint(count, [&](std::size_t i) {
+        const Eigen::Vector3d nominal =
+            in_ground ? ground_from_rig * points.point_in_rig[i] : points.point_in_rig[i];
+        part.variance_mm2[i] += (back * moved[i] - nominal).cwiseAbs2();
+      });
     }
-    if (!in_ground) back = internal::BestRigidMotion(moved, points.point_in_rig);
-    ForEachPoint(count, [&](std::size_t i) {
-      const Eigen::Vector3d nominal =
-          in_ground ? ground_from_rig * points.point_in_rig[i] : points.point_in_rig[i];
-      part.variance_mm2[i] += (back * moved[i] - nominal).cwiseAbs2();
-    });
   }
   return part;
 }
@@ -124,6 +137,7 @@ void MeasureOptions::Check() const {
 struct StereoMeasurement::Impl {
   StereoRig rig;
   MeasureOptions options;
+  ModeTriangulation modes;
   Rectification rectification;
   MeasurementGrid grid;
   Image<Eigen::Vector2f> grid_px;
@@ -142,7 +156,7 @@ struct StereoMeasurement::Impl {
 };
 
 StereoMeasurement::Impl::Impl(const StereoRig& r, const MeasureOptions& o)
-    : rig(r), options(o), rectification(r, o.rectification) {
+    : rig(r), options(o), modes(r), rectification(r, o.rectification) {
   options.Check();
   if (!options.mask.empty() && !(options.mask.size() == rig.left.size())) {
     throw InputError(fmt::format("The mask is {}x{} px and the left image {}x{} px.",
@@ -290,8 +304,8 @@ void StereoMeasurement::Impl::Store(const SurfacePoints& points,
     ground.centroid_in_rig_mm = plane->centroid;
   }
   const bool in_ground = plane.has_value() && options.turn_into_ground_frame;
-  const CalibrationPart calibration = EvaluateModes(rig, points, plane, in_ground, ground_from_rig,
-                                                    options.ground.correlation_area_points);
+  const CalibrationPart calibration = EvaluateModes(
+      modes, points, plane, in_ground, ground_from_rig, options.ground.correlation_area_points);
   if (plane) ground.cov_calibration = calibration.cov_plane;
 
   Surface& surface = out.frame.surface;

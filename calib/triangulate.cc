@@ -11,12 +11,15 @@
 #include <stdexcept>
 #include <string>
 
+#include "calib/internal/common_perpendicular.h"
+
 namespace plumbline {
 namespace {
 
+using internal::CommonPerpendicular;
+
 constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
-constexpr double kParallel_rad = 1e-9;  // far below what a pixel's noise does to a ray
-constexpr std::size_t kChunk = 256;     // correspondences whose rays are held on the stack
+constexpr std::size_t kChunk = 256;  // correspondences whose rays are held on the stack
 constexpr std::size_t kChunksPerTask = 4;
 
 using Matrix32 = Eigen::Matrix<double, 3, 2>;
@@ -29,18 +32,6 @@ struct RightCamera {
   Eigen::Matrix3d rotation;  // left_from_right
   Eigen::Vector3d centre;    // mm
 };
-
-// Distances along the two unit rays to the feet of their common perpendicular; false where the rays
-// are parallel or a foot lies behind its camera. All in the rig frame.
-bool CommonPerpendicular(const Eigen::Vector3d& f0, const Eigen::Vector3d& f1,
-                         const Eigen::Vector3d& centre, double* depth0, double* depth1) {
-  const Eigen::Vector3d n = f0.cross(f1);
-  const double n2 = n.squaredNorm();
-  if (!(n2 > kParallel_rad * kParallel_rad)) return false;
-  *depth0 = centre.cross(f1).dot(n) / n2;
-  *depth1 = centre.cross(f0).dot(n) / n2;
-  return *depth0 > 0 && *depth1 > 0;
-}
 
 // The derivative of the midpoint along one direction in which the rays and the centre move by df0,
 // df1, dc. From f0.w = f1.w = 0, w = depth0 f0 - depth1 f1 - c, by the implicit function theorem.

@@ -5,6 +5,7 @@
 #include <random>
 #include <vector>
 
+#include "calib/mode_triangulation.h"
 #include "calib/triangulate.h"
 
 namespace plumbline {
@@ -73,6 +74,68 @@ void TriangulateWithCovariance(benchmark::State& state) {
   state.SetItemsProcessed(state.iterations() * kPoints);
 }
 BENCHMARK(TriangulateWithCovariance)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+// Twelve modes, each of which moves lenses and pose.
+StereoRig RigWithModes() {
+  StereoRig rig = MakeRig();
+  rig.modes.modes.resize(12, rig.ParameterCount());
+  std::mt19937 rng(2);
+  std::normal_distribution<double> normal(0, 1);
+  for (Eigen::Index i = 0; i < rig.modes.modes.size(); ++i) {
+    rig.modes.modes.data()[i] = 1e-4 * normal(rng);
+  }
+  rig.modes.modes.leftCols<4>() *= 1e4;
+  return rig;
+}
+
+constexpr std::size_t kModePoints = 19'000;
+
+void DifferencesAlongModes(benchmark::State& state) {
+  const Scene& scene = TheScene();
+  const StereoRig rig = RigWithModes();
+  const auto left = std::span(scene.left).first(kModePoints);
+  const auto right = std::span(scene.right).first(kModePoints);
+  const ModeTriangulation modes(rig);
+  const auto count = static_cast<std::size_t>(modes.count());
+  std::vector<Eigen::Vector3f> differences(kModePoints * count);
+  modes.Differences(left, right, differences);
+  const auto nominal = TriangulatePoints(rig, left, right);
+  for (int k = 0; k < modes.count(); ++k) {
+    const auto moved = TriangulatePoints(rig.AlongMode(k), left, right);
+    for (std::size_t i = 0; i < kModePoints; i += 97) {
+      const Eigen::Vector3d expected = moved[i] - nominal[i];
+      const Eigen::Vector3f& found = differences[i * count + static_cast<std::size_t>(k)];
+      if (!((found.cast<double>() - expected).norm() < 1e-3 * expected.norm() + 1e-4)) {
+        state.SkipWithError("a wrong difference");
+      }
+    }
+  }
+  for (auto _ : state) modes.Differences(left, right, differences);
+  state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(kModePoints * count));
+}
+BENCHMARK(DifferencesAlongModes)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+// The baseline of the one above.
+void TriangulatePointsAlongModes(benchmark::State& state) {
+  const Scene& scene = TheScene();
+  const StereoRig rig = RigWithModes();
+  const auto left = std::span(scene.left).first(kModePoints);
+  const auto right = std::span(scene.right).first(kModePoints);
+  for (auto _ : state) {
+    for (int k = 0; k < rig.modes.count(); ++k) {
+      benchmark::DoNotOptimize(TriangulatePoints(rig.AlongMode(k), left, right));
+    }
+  }
+  state.SetItemsProcessed(state.iterations() * static_cast<std::int64_t>(kModePoints) *
+                          rig.modes.count());
+}
+BENCHMARK(TriangulatePointsAlongModes)->Unit(benchmark::kMillisecond)->UseRealTime();
+
+void MakeTablesOfModes(benchmark::State& state) {
+  const StereoRig rig = RigWithModes();
+  for (auto _ : state) benchmark::DoNotOptimize(ModeTriangulation(rig));
+}
+BENCHMARK(MakeTablesOfModes)->Unit(benchmark::kMillisecond)->UseRealTime();
 
 // The baseline: OpenCV's undistortion (iterated until it is as good as ours) and linear
 // triangulation, which gives points without covariance.
