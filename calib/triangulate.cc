@@ -12,6 +12,7 @@
 #include <string>
 
 #include "calib/internal/common_perpendicular.h"
+#include "calib/internal/epipolar_residual.h"
 
 namespace plumbline {
 namespace {
@@ -87,14 +88,11 @@ TriangulatedPoint TriangulateRays(const StereoRig& rig, const RightCamera& right
     return out;
   }
 
-  const Eigen::Matrix3d& R = rig.right_from_left.rotation;
-  const Eigen::Vector3d& t = rig.right_from_left.translation_mm;
-  const Eigen::Vector3d plane = t.cross(R * r0);
-  const Eigen::Vector2d gradient = F1.transpose() * plane;
-  const double per_px = gradient.norm();
-  out.epipolar_px = plane.dot(r1) / per_px;
-  Eigen::Vector4d d_epipolar;
-  d_epipolar << (R * F0).transpose() * r1.cross(t) / per_px, gradient / per_px;
+  const internal::EpipolarConstraint constraint(r0, F0, r1, F1, rig.right_from_left.rotation,
+                                                rig.right_from_left.translation_mm);
+  const double per_px = constraint.per_px();
+  out.epipolar_px = constraint.a / per_px;
+  const Eigen::Vector4d d_epipolar = constraint.d_pixels / per_px;
   out.sigma_epipolar_px = std::sqrt(d_epipolar.dot(S * d_epipolar));
 
   const Eigen::Vector3d f1 = right.rotation * r1;
