@@ -9,6 +9,7 @@
 #include <limits>
 #include <string_view>
 
+#include "apps/internal/ground_record.h"
 #include "apps/internal/surface_points.h"
 #include "calib/error.h"
 #include "calib/median.h"
@@ -292,16 +293,7 @@ void StereoMeasurement::Impl::Store(const SurfacePoints& points,
   Rigid3 ground_from_rig;
   if (plane) {
     ground_from_rig = GroundFromRig(*plane, Eigen::Vector3d::Zero(), plane->centroid);
-    ground.found = true;
-    ground.normal_in_rig = plane->normal;
-    ground.offset_mm = plane->offset_mm;
-    ground.cov_random = plane->cov;
-    ground.ground_from_rig = ground_from_rig;
-    ground.rms_mm = plane->rms_mm;
-    ground.inlier_fraction = plane->inlier_fraction;
-    ground.e1_in_rig = plane->e1;
-    ground.e2_in_rig = plane->e2;
-    ground.centroid_in_rig_mm = plane->centroid;
+    ground = internal::GroundRecordOf(*plane, ground_from_rig);
   }
   const bool in_ground = plane.has_value() && options.turn_into_ground_frame;
   const CalibrationPart calibration = EvaluateModes(

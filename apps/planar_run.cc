@@ -26,23 +26,6 @@ double MedianOrNone(std::vector<double> values) {
   return values.empty() ? kNone : Median(std::move(values));
 }
 
-// The points whose subset fits into the region.
-void PlaceGrid(const PixelRegion& region, ImageSize image, FieldOptions& field) {
-  region.CheckInside(image);
-  const int radius = field.correlator.radius_px();
-  const int width = std::min(region.width, image.width - region.x);
-  const int height = std::min(region.height, image.height - region.y);
-  const int subset = field.correlator.subset_px;
-  if (width < subset || height < subset) {
-    throw InputError(fmt::format(
-        "The region holds {}x{} px of the image, which is less than one subset of {} px; take a "
-        "larger region or a smaller --subset.",
-        width, height, subset));
-  }
-  field.first_px = {region.x + radius, region.y + radius};
-  field.grid = {(width - subset) / field.step_px + 1, (height - subset) / field.step_px + 1};
-}
-
 const char* PrefilterName(Prefilter filter) {
   return filter == Prefilter::kLowPass ? "low-pass"
          : filter == Prefilter::kNone  ? "none"

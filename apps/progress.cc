@@ -28,8 +28,12 @@ std::string DurationText(std::chrono::duration<double> duration) {
 }
 
 std::string ProgressText(const std::string& label, std::int64_t done, std::int64_t total,
-                         std::chrono::duration<double> elapsed, int width) {
-  if (total <= 0) return fmt::format("{}  {} done in {}", label, done, DurationText(elapsed));
+                         std::chrono::duration<double> elapsed, int width,
+                         const std::string& detail) {
+  const std::string aside = detail.empty() ? "" : ", " + detail;
+  if (total <= 0) {
+    return fmt::format("{}  {} done in {}{}", label, done, DurationText(elapsed), aside);
+  }
   const double share = std::clamp(static_cast<double>(done) / static_cast<double>(total), 0.0, 1.0);
   std::string text = label + "  ";
   if (width > 0) {
@@ -38,6 +42,10 @@ std::string ProgressText(const std::string& label, std::int64_t done, std::int64
         fmt::format("[{:#<{}}{:.<{}}]  ", "", filled, "", static_cast<std::size_t>(width) - filled);
   }
   text += fmt::format("{}/{}  {:.0f} %", done, total, 100 * share);
+  if (done > 0 && done < total && elapsed.count() > 0) {
+    text += fmt::format(", {:.2g}/s", static_cast<double>(done) / elapsed.count());
+  }
+  text += aside;
   if (done >= total) {
     text += fmt::format(", took {}", DurationText(elapsed));
   } else if (done > 0) {
@@ -60,6 +68,11 @@ void Progress::Advance(std::int64_t count) {
   if (Clock::now() - shown_ >= interval && done_ != total_) Show(false);
 }
 
+void Progress::SetDetail(std::string detail) {
+  const std::lock_guard lock(mutex_);
+  detail_ = std::move(detail);
+}
+
 void Progress::Note(const std::string& line) {
   if (style_ == ProgressStyle::kNone) return;
   const std::lock_guard lock(mutex_);
@@ -73,10 +86,10 @@ void Progress::Show(bool last) {
   shown_ = Clock::now();
   const std::chrono::duration<double> elapsed = shown_ - begin_;
   if (style_ == ProgressStyle::kBar) {
-    fmt::print(stderr, "\r\033[K{}{}", ProgressText(label_, done_, total_, elapsed, kBarWidth),
-               last ? "\n" : "");
+    fmt::print(stderr, "\r\033[K{}{}",
+               ProgressText(label_, done_, total_, elapsed, kBarWidth, detail_), last ? "\n" : "");
   } else {
-    fmt::print(stderr, "{}\n", ProgressText(label_, done_, total_, elapsed, 0));
+    fmt::print(stderr, "{}\n", ProgressText(label_, done_, total_, elapsed, 0, detail_));
   }
   std::fflush(stderr);
 }

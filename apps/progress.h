@@ -16,10 +16,11 @@ enum class ProgressStyle {
 // The style that suits stderr: a bar on a terminal, lines elsewhere.
 ProgressStyle ProgressStyleOfStderr();
 
-// One line: "measure  12/44  27 %, about 40 s left". With `width` columns for a bar (0: none).
-// `total` 0 or less: not known.
+// One line: "measure  12/44  27 %, 2.1/s, 97 % valid, about 40 s left". With `width` columns for a
+// bar (0: none). `total` 0 or less: not known.
 std::string ProgressText(const std::string& label, std::int64_t done, std::int64_t total,
-                         std::chrono::duration<double> elapsed, int width);
+                         std::chrono::duration<double> elapsed, int width,
+                         const std::string& detail = "");
 
 // "42 s", "3 min 20 s", "2 h 5 min".
 std::string DurationText(std::chrono::duration<double> duration);
@@ -33,6 +34,9 @@ class Progress {
   Progress& operator=(const Progress&) = delete;
 
   void Advance(std::int64_t count = 1);
+
+  // What is told beside the count: "97.2 % valid".
+  void SetDetail(std::string detail);
 
   // A line of its own that stays, above the bar.
   void Note(const std::string& line);
@@ -48,6 +52,7 @@ class Progress {
   std::mutex mutex_;
   Clock::time_point shown_ = begin_;
   std::int64_t done_ = 0;
+  std::string detail_;
 };
 
 }  // namespace plumbline

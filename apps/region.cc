@@ -71,4 +71,20 @@ Image<std::uint8_t> WantedPixels(ImageSize size, const std::optional<PixelRegion
   return wanted;
 }
 
+void PlaceGrid(const PixelRegion& region, ImageSize image, FieldOptions& field) {
+  region.CheckInside(image);
+  const int radius = field.correlator.radius_px();
+  const int width = std::min(region.width, image.width - region.x);
+  const int height = std::min(region.height, image.height - region.y);
+  const int subset = field.correlator.subset_px;
+  if (width < subset || height < subset) {
+    throw InputError(fmt::format(
+        "The region holds {}x{} px of the image, which is less than one subset of {} px; take a "
+        "larger region or a smaller --subset.",
+        width, height, subset));
+  }
+  field.first_px = {region.x + radius, region.y + radius};
+  field.grid = {(width - subset) / field.step_px + 1, (height - subset) / field.step_px + 1};
+}
+
 }  // namespace plumbline

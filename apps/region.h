@@ -6,6 +6,7 @@
 #include <string>
 
 #include "calib/image.h"
+#include "match/correlate_field.h"
 
 namespace plumbline {
 
@@ -29,5 +30,9 @@ Image<std::uint8_t> ReadMask(const std::filesystem::path& file);
 // region lies outside, or the two leave nothing.
 Image<std::uint8_t> WantedPixels(ImageSize size, const std::optional<PixelRegion>& region,
                                  const Image<std::uint8_t>& mask);
+
+// Sets the grid to the points whose subset fits into the region. Throws InputError as
+// CheckInside(), and where it holds not even one subset.
+void PlaceGrid(const PixelRegion& region, ImageSize image, FieldOptions& field);
 
 }  // namespace plumbline

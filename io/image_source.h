@@ -47,6 +47,13 @@ class ImageSource {
   // exception.
   virtual std::optional<StereoFrame> Next() = 0;
 
+  // Passes over the next pairs, without decoding them where that can be. Less than `count` where
+  // the source ends.
+  virtual void Skip(std::int64_t count) {
+    while (count-- > 0 && Next()) {
+    }
+  }
+
   // What the user should know: colour turned into grey, 16-bit files that hold fewer, frames that a
   // video declares and does not hold. One sentence each; complete after the last Next().
   virtual std::vector<std::string> Notes() const = 0;

@@ -437,6 +437,7 @@ SubsetMatch SubsetCorrelator::Match(const CorrelationImage& deformed, const Eige
   none.status = match.status;
   none.zncc = match.zncc;
   none.iterations = match.iterations;
+  if (match.status == Status::kOutsideImage) none.warp = match.warp;
   return none;
 }
 

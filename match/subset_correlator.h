@@ -38,7 +38,7 @@ struct CorrelatorOptions {
 };
 
 // One subset found again in the deformed image. NaN where status is not kOk, but for what the
-// search ended with: zncc and iterations.
+// search ended with: zncc, iterations and, where that left the image, the warp.
 struct SubsetMatch {
   Status status = Status::kNotConverged;
   SubsetWarp warp = {Eigen::Matrix<double, 2, 6>::Constant(kNone)};

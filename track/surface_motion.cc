@@ -21,7 +21,7 @@ using Matrix32 = Eigen::Matrix<double, 3, 2>;
 using Matrix6 = Eigen::Matrix<double, 6, 6>;
 using Vector6f = Eigen::Matrix<float, 6, 1>;
 
-void CheckSizes(const SurfaceInstant& from, const SurfaceInstant& to) {
+void CheckSizes(const SurfaceState& from, const SurfaceState& to) {
   if (from.size() == to.size() && from.along_modes_mm.size() == to.along_modes_mm.size()) return;
   throw InputError(
       "Two instants of a surface have different grids or calibration modes; they have to be of one "
@@ -59,14 +59,7 @@ Eigen::Matrix3d CovarianceOfSum(const std::array<Part, kParts>& parts, std::size
   return cov + common * unit * common.transpose();
 }
 
-Vector6f UpperOf(const Eigen::Matrix3d& m) {
-  Vector6f upper;
-  upper << m.row(0).transpose().cast<float>(), m.row(1).tail<2>().transpose().cast<float>(),
-      static_cast<float>(m(2, 2));
-  return upper;
-}
-
-std::array<Part, 2> PartsOf(const SurfaceInstant& instant, double sign) {
+std::array<Part, 2> PartsOf(const SurfaceState& instant, double sign) {
   return {Part{&instant.d_left, &instant.scale_left, &instant.share_left, sign},
           Part{&instant.d_right, &instant.scale_right, &instant.share_right, sign}};
 }
@@ -80,13 +73,7 @@ Eigen::Matrix<double, 3, 6> RigidJacobian(const Eigen::Vector3d& q) {
 
 }  // namespace
 
-Eigen::Matrix3d SymmetricOf(const Vector6f& u) {
-  Eigen::Matrix3d m;
-  m << u[0], u[1], u[2], u[1], u[3], u[4], u[2], u[4], u[5];
-  return m;
-}
-
-SurfaceMotion MotionBetween(const SurfaceInstant& from, const SurfaceInstant& to,
+SurfaceMotion MotionBetween(const SurfaceState& from, const SurfaceState& to,
                             const Image<Eigen::Vector3f>& cov_px2) {
   CheckSizes(from, to);
   SurfaceMotion motion;
@@ -103,7 +90,7 @@ SurfaceMotion MotionBetween(const SurfaceInstant& from, const SurfaceInstant& to
     if (!moved.allFinite()) return;
     motion.value_mm.data()[i] = moved;
     motion.cov_random_mm2.data()[i] =
-        UpperOf(CovarianceOfSum(parts, i, CovarianceOf(cov_px2.data()[i])));
+        TriangleOf(CovarianceOfSum(parts, i, CovarianceOf(cov_px2.data()[i])));
     if (modes == 0) return;
     Eigen::Vector3f variance = Eigen::Vector3f::Zero();
     for (std::size_t k = 0; k < modes; ++k) {
@@ -114,17 +101,17 @@ SurfaceMotion MotionBetween(const SurfaceInstant& from, const SurfaceInstant& to
   return motion;
 }
 
-Image<Vector6f> CovarianceOf(const SurfaceInstant& instant, const Image<Eigen::Vector3f>& cov_px2) {
+Image<Vector6f> CovarianceOf(const SurfaceState& instant, const Image<Eigen::Vector3f>& cov_px2) {
   Image<Vector6f> cov(instant.size(), Vector6f::Constant(kNone));
   const auto parts = PartsOf(instant, 1);
   ForEachPoint(cov.pixel_count(), [&](std::size_t i) {
     if (!instant.point_mm.data()[i].allFinite()) return;
-    cov.data()[i] = UpperOf(CovarianceOfSum(parts, i, CovarianceOf(cov_px2.data()[i])));
+    cov.data()[i] = TriangleOf(CovarianceOfSum(parts, i, CovarianceOf(cov_px2.data()[i])));
   });
   return cov;
 }
 
-Image<Eigen::Vector3f> CalibrationSigma(const SurfaceInstant& instant) {
+Image<Eigen::Vector3f> CalibrationSigma(const SurfaceState& instant) {
   Image<Eigen::Vector3f> sigma(instant.size(), Eigen::Vector3f::Constant(kNone));
   if (instant.along_modes_mm.empty()) return sigma;
   ForEachPoint(sigma.pixel_count(), [&](std::size_t i) {
@@ -135,7 +122,7 @@ Image<Eigen::Vector3f> CalibrationSigma(const SurfaceInstant& instant) {
   return sigma;
 }
 
-SurfaceRigidMotion RigidMotionBetween(const SurfaceInstant& from, const SurfaceInstant& to,
+SurfaceRigidMotion RigidMotionBetween(const SurfaceState& from, const SurfaceState& to,
                                       const SurfaceMotion& motion, double correlation_area_points) {
   CheckSizes(from, to);
   SurfaceRigidMotion rigid;
@@ -163,7 +150,7 @@ SurfaceRigidMotion RigidMotionBetween(const SurfaceInstant& from, const SurfaceI
     const std::size_t place = places[static_cast<std::size_t>(i)];
     const Eigen::Matrix<double, 3, 6> J = RigidJacobian(b.col(i) - after);
     normal += J.transpose() * J;
-    noise += J.transpose() * SymmetricOf(motion.cov_random_mm2.data()[place]) * J;
+    noise += J.transpose() * CovarianceOf(motion.cov_random_mm2.data()[place]) * J;
     squares += (b.col(i) - rigid.motion * Eigen::Vector3d(a.col(i))).squaredNorm();
     for (std::size_t k = 0; k < modes; ++k) {
       // The motion that is seen along the mode, less the nominal one.
@@ -188,7 +175,7 @@ SurfaceRigidMotion RigidMotionBetween(const SurfaceInstant& from, const SurfaceI
   return rigid;
 }
 
-SurfaceMotion WithoutRigidMotion(const SurfaceInstant& from, const SurfaceInstant& to,
+SurfaceMotion WithoutRigidMotion(const SurfaceState& from, const SurfaceState& to,
                                  const SurfaceMotion& motion, const SurfaceRigidMotion& rigid) {
   CheckSizes(from, to);
   SurfaceMotion left = motion;
@@ -201,8 +188,9 @@ SurfaceMotion WithoutRigidMotion(const SurfaceInstant& from, const SurfaceInstan
     left.value_mm.data()[i] = back * to.point_mm.data()[i] - from.point_mm.data()[i];
     const Eigen::Matrix<double, 3, 6> J = RigidJacobian(to.point_mm.data()[i] - after);
     const Eigen::Matrix3d cov =
-        SymmetricOf(motion.cov_random_mm2.data()[i]) + J * rigid.cov_random * J.transpose();
-    left.cov_random_mm2.data()[i] = UpperOf(turn * cov * turn.transpose());
+        CovarianceOf(motion.cov_random_mm2.data()[i]) + J * rigid.cov_random * J.transpose();
+    const Eigen::Matrix3d turned = turn * cov * turn.transpose();
+    left.cov_random_mm2.data()[i] = TriangleOf(turned);
     if (modes == 0) return;
     Eigen::Vector3d variance = Eigen::Vector3d::Zero();
     for (std::size_t k = 0; k < modes; ++k) {

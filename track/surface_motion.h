@@ -5,7 +5,7 @@
 
 #include "calib/image.h"
 #include "calib/rigid3.h"
-#include "track/surface_instant.h"
+#include "track/surface_state.h"
 
 namespace plumbline {
 
@@ -20,17 +20,14 @@ struct SurfaceMotion {
 
 // From one instant to another, both in the same frame. All four matches are counted, with the noise
 // of the reference subset that they share; and what each calibration mode does to both ends.
-[[nodiscard]] SurfaceMotion MotionBetween(const SurfaceInstant& from, const SurfaceInstant& to,
+[[nodiscard]] SurfaceMotion MotionBetween(const SurfaceState& from, const SurfaceState& to,
                                           const Image<Eigen::Vector3f>& cov_px2);
 
 // The random covariance of the points of one instant (mm^2, xx xy xz yy yz zz), and their sigmas
 // from the calibration.
-[[nodiscard]] Image<Eigen::Matrix<float, 6, 1>> CovarianceOf(const SurfaceInstant& instant,
+[[nodiscard]] Image<Eigen::Matrix<float, 6, 1>> CovarianceOf(const SurfaceState& instant,
                                                              const Image<Eigen::Vector3f>& cov_px2);
-[[nodiscard]] Image<Eigen::Vector3f> CalibrationSigma(const SurfaceInstant& instant);
-
-// The symmetric matrix of 6 numbers, xx xy xz yy yz zz.
-Eigen::Matrix3d SymmetricOf(const Eigen::Matrix<float, 6, 1>& upper);
+[[nodiscard]] Image<Eigen::Vector3f> CalibrationSigma(const SurfaceState& instant);
 
 // The rigid motion of the whole surface: to = motion * from, by least squares over the points that
 // both instants hold, all with the same weight (Umeyama, PAMI 1991, without scale).
@@ -48,14 +45,14 @@ struct SurfaceRigidMotion {
 
 // correlation_area_points: how many neighbouring points share one noise (GroundPlaneOptions).
 // random: the motion's covariances.
-[[nodiscard]] SurfaceRigidMotion RigidMotionBetween(const SurfaceInstant& from,
-                                                    const SurfaceInstant& to,
+[[nodiscard]] SurfaceRigidMotion RigidMotionBetween(const SurfaceState& from,
+                                                    const SurfaceState& to,
                                                     const SurfaceMotion& motion,
                                                     double correlation_area_points);
 
 // What is left of a motion when the rigid one is undone: motion^-1 * to - from. The rigid motion's
 // own random covariance is added to that of the points.
-[[nodiscard]] SurfaceMotion WithoutRigidMotion(const SurfaceInstant& from, const SurfaceInstant& to,
+[[nodiscard]] SurfaceMotion WithoutRigidMotion(const SurfaceState& from, const SurfaceState& to,
                                                const SurfaceMotion& motion,
                                                const SurfaceRigidMotion& rigid);
 

@@ -22,7 +22,7 @@ using internal::Tangents;
 
 constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 
-void CheckSizes(const SurfaceInstant& instant, ImageSize grid) {
+void CheckSizes(const SurfaceState& instant, ImageSize grid) {
   bool differ = instant.d_left.size() != grid || instant.d_right.size() != grid ||
                 instant.scale_left.size() != grid || instant.scale_right.size() != grid ||
                 instant.share_left.size() != grid || instant.share_right.size() != grid ||
@@ -43,7 +43,7 @@ struct TileGradients {
 };
 
 // The points are fitted as seen from one of them, so that no digits are lost.
-TileGradients GradientsOf(const SurfaceInstant& instant, const Image<double>& weight,
+TileGradients GradientsOf(const SurfaceState& instant, const Image<double>& weight,
                           const internal::GaugeData& data, const internal::GridTile& tile,
                           const std::vector<internal::GaugeFit>& fits) {
   const auto modes = static_cast<Eigen::Index>(instant.along_modes_mm.size());
@@ -136,7 +136,7 @@ struct SurfaceGauges::State {
     TileGradients gradients;
   };
 
-  State(SurfaceInstant at_reference, Image<Eigen::Vector3f> covariances_px2,
+  State(SurfaceState at_reference, Image<Eigen::Vector3f> covariances_px2,
         NeighbourCorrelation neighbour_correlation, int step_px, int subset_px,
         const SurfaceStrainOptions& strain_options)
       : options(strain_options),
@@ -203,14 +203,14 @@ struct SurfaceGauges::State {
     return false;
   }
 
-  void SetTile(const Tile& tile, const SurfaceInstant& now, const Image<double>& present,
+  void SetTile(const Tile& tile, const SurfaceState& now, const Image<double>& present,
                SurfaceStrain& out) const;
   void SetPoint(const internal::GaugeFit& fit, const TileGradients& before,
                 const TileGradients& after, std::size_t cell, int row, int column,
-                const SurfaceInstant& now, SurfaceStrain& out) const;
+                const SurfaceState& now, SurfaceStrain& out) const;
 
   SurfaceStrainOptions options;
-  SurfaceInstant reference;
+  SurfaceState reference;
   Image<Eigen::Vector3f> cov_px2;
   NeighbourCorrelation neighbours;
   internal::GaugeRule rule;
@@ -223,8 +223,7 @@ struct SurfaceGauges::State {
 // The status of a point that is there has been set to kFailedVerification.
 void SurfaceGauges::State::SetPoint(const internal::GaugeFit& fit, const TileGradients& before,
                                     const TileGradients& after, std::size_t cell, int row,
-                                    int column, const SurfaceInstant& now,
-                                    SurfaceStrain& out) const {
+                                    int column, const SurfaceState& now, SurfaceStrain& out) const {
   const internal::TangentDeformation deformation =
       internal::DeformationOf(before.tangents[cell], after.tangents[cell], options.x_direction);
   const GradientStrain measured =
@@ -232,7 +231,7 @@ void SurfaceGauges::State::SetPoint(const internal::GaugeFit& fit, const TileGra
   const Eigen::Matrix<double, 3, 6> by_reference = measured.d_strain * deformation.d_reference;
   const Eigen::Matrix<double, 3, 6> by_now = measured.d_strain * deformation.d_now;
   RandomCovariance random(fit.cov_gradient);
-  const auto add = [&](const Eigen::Matrix<double, 3, 6>& by, const SurfaceInstant& instant) {
+  const auto add = [&](const Eigen::Matrix<double, 3, 6>& by, const SurfaceState& instant) {
     random.Add(by, instant.d_left(row, column), instant.scale_left(row, column),
                instant.share_left(row, column));
     random.Add(by, instant.d_right(row, column), instant.scale_right(row, column),
@@ -274,7 +273,7 @@ void SurfaceGauges::State::SetPoint(const internal::GaugeFit& fit, const TileGra
   out.sigma_von_mises_calibration(row, column) = static_cast<float>(rig.von_mises);
 }
 
-void SurfaceGauges::State::SetTile(const Tile& tile, const SurfaceInstant& now,
+void SurfaceGauges::State::SetTile(const Tile& tile, const SurfaceState& now,
                                    const Image<double>& present, SurfaceStrain& out) const {
   const internal::GridTile& area = tile.gauges.tile;
   std::vector<internal::GaugeFit> fits_left;
@@ -299,7 +298,7 @@ void SurfaceGauges::State::SetTile(const Tile& tile, const SurfaceInstant& now,
   }
 }
 
-SurfaceGauges::SurfaceGauges(SurfaceInstant reference, Image<Eigen::Vector3f> cov_px2,
+SurfaceGauges::SurfaceGauges(SurfaceState reference, Image<Eigen::Vector3f> cov_px2,
                              NeighbourCorrelation neighbours, int step_px, int subset_px,
                              const SurfaceStrainOptions& options) {
   options.Check();
@@ -313,7 +312,7 @@ SurfaceGauges::SurfaceGauges(SurfaceInstant reference, Image<Eigen::Vector3f> co
                                          std::move(neighbours), step_px, subset_px, options);
 }
 
-SurfaceStrain SurfaceGauges::Strain(const SurfaceInstant& now, const Image<Status>& status) const {
+SurfaceStrain SurfaceGauges::Strain(const SurfaceState& now, const Image<Status>& status) const {
   const State& state = *state_;
   const ImageSize size = state.data.weight.size();
   CheckSizes(now, size);

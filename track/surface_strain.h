@@ -10,28 +10,9 @@
 #include "calib/status.h"
 #include "match/neighbour_correlation.h"
 #include "track/strain_measure.h"
+#include "track/surface_state.h"
 
 namespace plumbline {
-
-// A surface at one instant, at the points of a grid in the reference image of the left camera:
-// what stereo-DIC found and how the errors of its two matches reach it. All images have the size of
-// the grid.
-struct SurfaceInstant {
-  // mm; in any frame, right-handed, the same for all instants. NaN where there is none.
-  Image<Eigen::Vector3d> point_mm;
-  // d point / d error of the match with the left and with the right image (mm per px), the error
-  // being where the subset of the reference image is, in its own pixels (u, v): the triangulation's
-  // Jacobian times the deformation gradient (1 + du/dx, ...) of the match. Zero where a match has
-  // no error: that with the left image at the reference instant, where the point is defined.
-  Image<Eigen::Matrix<float, 3, 2>> d_left, d_right;
-  // A match's sigma over that of the covariance given to SurfaceGauges.
-  Image<float> scale_left, scale_right;
-  // How much of a match's variance is the noise of the reference image, 0..1. It is the same noise
-  // in all matches of all instants, so that it cancels where they are compared.
-  Image<float> share_left, share_right;
-  // By calibration mode: what one sigma of it does to the points (mm). Empty: unknown.
-  std::vector<Image<Eigen::Vector3f>> along_modes_mm;
-};
 
 struct SurfaceStrainOptions {
   StrainMeasure measure = StrainMeasure::kGreenLagrange;
@@ -111,7 +92,7 @@ class SurfaceGauges {
   //
   // Throws: UsageError from options.Check(); InputError where images differ in size or the step or
   //         subset is below 1 px.
-  SurfaceGauges(SurfaceInstant reference, Image<Eigen::Vector3f> cov_px2,
+  SurfaceGauges(SurfaceState reference, Image<Eigen::Vector3f> cov_px2,
                 NeighbourCorrelation neighbours, int step_px, int subset_px,
                 const SurfaceStrainOptions& options = {});
 
@@ -125,7 +106,7 @@ class SurfaceGauges {
   //          reference's (none on either side is allowed: sigma_calibration is then NaN).
   // Thread-safe; the result does not depend on the number of threads. Where no point of the
   // reference is missing now, it costs the fits alone; else also a little for each missing point.
-  [[nodiscard]] SurfaceStrain Strain(const SurfaceInstant& now, const Image<Status>& status) const;
+  [[nodiscard]] SurfaceStrain Strain(const SurfaceState& now, const Image<Status>& status) const;
 
   // Columns e1, e2 and n of the gauges of the reference; NaN where they are not full enough.
   [[nodiscard]] Image<Eigen::Matrix3f> axes() const;

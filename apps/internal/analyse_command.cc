@@ -4,9 +4,9 @@
 #include <filesystem>
 
 #include "apps/internal/command.h"
-#include "apps/internal/planar_options.h"
 #include "apps/internal/planar_report.h"
 #include "apps/internal/result_file.h"
+#include "apps/internal/strain_options.h"
 #include "apps/interrupt.h"
 #include "calib/error.h"
 #include "io/planar_series_writer.h"
@@ -65,6 +65,7 @@ void AnalyseCommand::Declare(OptionTable& options) {
               &output_);
   options.Add({.name = "overwrite", .help = "replace the output file if it is there"}, &overwrite_);
   strain_.Declare(options);
+  strain_.DeclareWeights(options);
 }
 
 CommandReport AnalyseCommand::Report(const fs::path& output, const PlanarSeriesHeader& header,

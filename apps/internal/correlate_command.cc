@@ -1,12 +1,13 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
-#include <charconv>
 #include <filesystem>
 
 #include "apps/internal/command.h"
-#include "apps/internal/planar_options.h"
+#include "apps/internal/field_options.h"
 #include "apps/internal/planar_report.h"
+#include "apps/internal/result_file.h"
+#include "apps/internal/strain_options.h"
 #include "apps/interrupt.h"
 #include "calib/error.h"
 #include "io/noise_file.h"
@@ -44,12 +45,11 @@ class CorrelateCommand : public Command {
 
   std::string reference_, output_ = "field.h5";
   std::vector<std::string> deformed_;
-  std::string frames_, roi_, mask_, timestamps_, noise_;
+  std::string frames_, roi_, mask_, timestamps_;
   std::optional<double> frames_per_second_;
   bool overwrite_ = false;
-  FieldOptions field_;
-  std::string shape_ = "square", interpolation_ = "quintic", prefilter_ = "low-pass";
-  bool no_verify_ = false;
+  FieldOptionSet matching_;
+  int step_px_ = 8;
   SequenceOptions sequence_;
   std::string reference_mode_ = "fixed";
   bool no_strain_ = false, gradient_covariance_ = false;
@@ -62,6 +62,7 @@ void CorrelateCommand::Declare(OptionTable& options) {
   DeclareSequence(options);
   options.Add({.name = "no-strain", .help = "leave the strain out"}, &no_strain_);
   strain_.Declare(options);
+  strain_.DeclareWeights(options);
   options.Add({.name = "gradient-covariance",
                .help = "also store the 4x4 covariance of each subset's gradient"},
               &gradient_covariance_);
@@ -108,60 +109,13 @@ void CorrelateCommand::DeclareImages(OptionTable& options) {
 }
 
 void CorrelateCommand::DeclareMatching(OptionTable& options) {
-  CorrelatorOptions& o = field_.correlator;
-  options.Add({.name = "subset",
-               .help = "side (diameter) of the subsets, odd; three speckles or more across",
-               .unit = "px",
-               .min = 5,
-               .max = 255},
-              &o.subset_px);
   options.Add({.name = "step",
                .help = "distance between points in the reference",
                .unit = "px",
                .min = 1,
                .max = 10000},
-              &field_.step_px);
-  options.Add({.name = "order",
-               .help = "of the shape function: 0 shift, 1 affine, 2 quadratic",
-               .min = 0,
-               .max = 2},
-              &o.order);
-  options.Add({.name = "shape", .help = "of the subsets", .choices = {"square", "circle"}},
-              &shape_);
-  options.Add({.name = "interpolation",
-               .help = "spline through the grey levels",
-               .choices = {"quintic", "cubic"}},
-              &interpolation_);
-  options.Add(
-      {.name = "prefilter",
-       .help = "filter before correlation: low-pass, none, or the sigma of a Gaussian in px",
-       .unit = "NAME|SIGMA"},
-      &prefilter_);
-  options.Add({.name = "min-zncc",
-               .help = "correlation (ZNCC) below which a point is dropped",
-               .min = 0,
-               .max = 1},
-              &o.min_zncc);
-  options.Add({.name = "max-sigma",
-               .help = "sigma of the displacement above which a point has too little texture",
-               .unit = "px",
-               .min = 1e-6},
-              &o.max_sigma_px);
-  options.Add({.name = "max-iterations", .help = "of a subset", .min = 1, .max = 255},
-              &o.max_iterations);
-  options.Add(
-      {.name = "noise",
-       .help = "noise of the camera, as plumbline noise writes it; empty: from the residual "
-               "of each subset",
-       .unit = "FILE"},
-      &noise_);
-  options.Add({.name = "no-verify",
-               .help = "do not check points by a match backwards, nor against their neighbours"},
-              &no_verify_);
-  options.Add({.name = "keep-still-parts",
-               .help = "keep parts of the view that stand still beside others that move, which "
-                       "count as background"},
-              &field_.keep_still_parts);
+              &step_px_);
+  matching_.Declare(options);
 }
 
 void CorrelateCommand::DeclareSequence(OptionTable& options) {
@@ -191,32 +145,12 @@ PlanarRunOptions CorrelateCommand::Options(std::uint64_t seed, int bits) const {
   options.sequence = sequence_;
   SetReferenceMode(options.sequence);
   FieldOptions& field = options.sequence.field;
-  field = field_;
-  field.correlator.shape = shape_ == "circle" ? SubsetShape::kCircle : SubsetShape::kSquare;
-  field.image.interpolation =
-      interpolation_ == "cubic" ? Interpolation::kCubic : Interpolation::kQuintic;
-  if (prefilter_ == "low-pass") {
-    field.image.prefilter = Prefilter::kLowPass;
-  } else if (prefilter_ == "none") {
-    field.image.prefilter = Prefilter::kNone;
-  } else {
-    const char* const end = prefilter_.data() + prefilter_.size();
-    double& sigma = field.image.gaussian_sigma_px;
-    const auto [at, error] = std::from_chars(prefilter_.data(), end, sigma);
-    if (error != std::errc() || at != end || !(sigma > 0 && sigma <= 10)) {
-      throw UsageError(fmt::format(
-          "--prefilter takes low-pass, none, or the sigma of a Gaussian in px (up to 10), not "
-          "'{}'.",
-          prefilter_));
-    }
-    field.image.prefilter = Prefilter::kGaussian;
+  field = matching_.Options(seed);
+  field.step_px = step_px_;
+  if (!matching_.noise().empty()) {
+    field.correlator.noise = ReadCameraNoise(matching_.noise(), "camera").ForBits(bits);
+    options.noise_source = fs::path(matching_.noise()).filename().string();
   }
-  if (!noise_.empty()) {
-    field.correlator.noise = ReadCameraNoise(noise_, "camera").ForBits(bits);
-    options.noise_source = fs::path(noise_).filename().string();
-  }
-  field.verify = !no_verify_;
-  field.seeds.features.random_seed = seed;
   if (!roi_.empty()) options.roi = PixelRegion::Parse(roi_);
   if (!mask_.empty()) options.mask = ReadMask(mask_);
   options.strain = !no_strain_;
@@ -275,7 +209,7 @@ CommandReport CorrelateCommand::Run(const CommonOptions& common, const std::stri
   header.recipe_toml = recipe_toml;
   header.inputs = inputs;
   for (const fs::path& file : images->Files()) header.inputs.push_back(file);
-  for (const std::string& file : {mask_, noise_, timestamps_}) {
+  for (const std::string& file : {mask_, matching_.noise(), timestamps_}) {
     if (!file.empty()) header.inputs.emplace_back(file);
   }
 

@@ -2,15 +2,22 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
+#include <charconv>
+#include <chrono>
 #include <cmath>
 #include <filesystem>
-#include <numbers>
+#include <functional>
+#include <memory>
 
 #include "apps/internal/command.h"
+#include "apps/internal/measure_flow.h"
 #include "apps/internal/measure_report.h"
+#include "apps/internal/result_file.h"
+#include "apps/internal/stereo_options.h"
 #include "apps/interrupt.h"
 #include "apps/pipeline.h"
 #include "apps/rig_input.h"
+#include "apps/stereo_run.h"
 #include "calib/error.h"
 #include "io/image_source.h"
 #include "io/series_writer.h"
@@ -20,19 +27,67 @@ namespace {
 
 namespace fs = std::filesystem;
 
+// What a matcher has to do in a run.
+struct Measurement {
+  SeriesHeader header;  // but for the recipe and the inputs
+  std::function<ReportedFrame(const StereoFrame&, std::int64_t)> measure;
+  // The first pair to measure so that the one at this place comes out right.
+  std::function<std::int64_t(std::int64_t)> first_to_measure;
+  std::int64_t block_frames = 1;  // between places where a recording can be cut
+  std::vector<std::string> notes;
+};
+
 // Images of a wrong size are refused as long as nothing was measured: then the rig is not theirs.
 // Later on they are bad frames like others.
-MeasuredFrame MeasureOne(const StereoMeasurement& measurement, const StereoFrame& pair,
-                         bool under_way) {
-  try {
-    return measurement.Measure(pair);
-  } catch (const InputError& error) {
-    if (!under_way) throw;
-    StereoFrame bad = pair;
-    bad.problem = error.what();
-    return measurement.Measure(bad);
+class SizeGuard {
+ public:
+  template <typename Measure>
+  auto operator()(const StereoFrame& pair, const Measure& measure) {
+    try {
+      auto result = measure(pair);
+      under_way_ = under_way_ || result.frame.problem.empty();
+      return result;
+    } catch (const InputError& error) {
+      if (!under_way_) throw;
+      StereoFrame bad = pair;
+      bad.problem = error.what();
+      return measure(bad);
+    }
   }
-}
+
+ private:
+  bool under_way_ = false;
+};
+
+// "2/4": the second of four parts.
+struct Shard {
+  int index = 1, count = 1;
+
+  static Shard Parse(const std::string& text) {
+    Shard shard;
+    const char* const end = text.data() + text.size();
+    const auto first = std::from_chars(text.data(), end, shard.index);
+    bool good = first.ec == std::errc() && first.ptr != end && *first.ptr == '/';
+    if (good) {
+      const auto second = std::from_chars(first.ptr + 1, end, shard.count);
+      good = second.ec == std::errc() && second.ptr == end;
+    }
+    if (!good || shard.index < 1 || shard.index > shard.count) {
+      throw UsageError(fmt::format(
+          "A shard is its number and how many there are, as 1/4 to 4/4, not '{}'.", text));
+    }
+    return shard;
+  }
+
+  // Whole blocks, as evenly as they can be dealt out.
+  MeasuredRange RangeOf(std::int64_t frames, std::int64_t block) const {
+    const std::int64_t blocks = (frames + block - 1) / block;
+    const auto begin = [&](std::int64_t part) {
+      return std::min(frames, part * blocks / count * block);
+    };
+    return {0, begin(index - 1), begin(index)};
+  }
+};
 
 class MeasureCommand : public Command {
  public:
@@ -41,8 +96,11 @@ class MeasureCommand : public Command {
     return "Measure the surface in every stereo pair, with error bars, into one HDF5 file.";
   }
   std::string Footer() const override {
-    return "Example:\n"
+    return "Examples:\n"
            "  plumbline measure --rig rig.h5 --left 'left/*.png' --right 'right/*.png' -o run.h5\n"
+           "  plumbline measure --matcher dic --rig rig.h5 --left left.mkv --right right.mkv\n"
+           "The first gives the shape in each pair; the second follows the material (stereo-DIC): "
+           "shape, displacement and strain since the first pair.\n"
            "Open the result with plumbline info run.h5, with h5py or MATLAB's h5read, or as points "
            "after\n  plumbline export run.h5 --format ply -o run.ply";
   }
@@ -50,20 +108,27 @@ class MeasureCommand : public Command {
   CommandReport Run(const CommonOptions& common, const std::string& recipe_toml) override;
 
  private:
-  void DeclareMatching(OptionTable& options);
-  void DeclareGround(OptionTable& options);
-  MeasureOptions Options(std::uint64_t seed) const;
-  void MeasureAll(const StereoMeasurement& measurement, ImageSource& source, SeriesWriter& writer,
-                  ProgressStyle style, MeasureReport& report) const;
+  void DeclareRun(OptionTable& options);
+  void DeclareSgbm(OptionTable& options);
+  ImageSourceOptions SourceOptions() const;
+  MeasureOptions SgbmOptions(std::uint64_t seed) const;
+  Measurement Sgbm(const RigInput& rig, std::uint64_t seed) const;
+  Measurement Dic(const RigInput& rig, std::uint64_t seed) const;
+  StereoFrame ReferencePair() const;
+  std::optional<CommandReport> FinishedBefore(const fs::path& output,
+                                              const std::string& recipe_toml) const;
 
   std::string rig_, left_, right_, output_ = "run.h5";
   double rig_length_unit_mm_ = 1;
   std::string rig_image_size_;
   std::string matcher_ = "sgbm", frames_, roi_, mask_, timestamps_, rectification_ = "auto";
-  std::string frame_ = "ground";
+  std::string shard_;
   std::optional<double> frames_per_second_;
-  bool overwrite_ = false;
-  MeasureOptions options_;
+  std::optional<int> step_px_, reference_frame_;
+  bool overwrite_ = false, resume_ = false;
+  MeasureOptions sgbm_;
+  StereoOptionSet dic_;
+  EvaluationOptionSet evaluation_;
 };
 
 void MeasureCommand::Declare(OptionTable& options) {
@@ -87,6 +152,51 @@ void MeasureCommand::Declare(OptionTable& options) {
       {.name = "output", .help = "where the result goes", .unit = "FILE", .short_name = "o"},
       &output_);
   options.Add({.name = "overwrite", .help = "replace the output file if it is there"}, &overwrite_);
+  DeclareRun(options);
+  options.Add({.name = "roi",
+               .help = "region of the left image to measure; empty: all of it",
+               .unit = "X,Y,W,H px"},
+              &roi_);
+  options.Add(
+      {.name = "mask",
+       .help = "image of the left camera's size: 0 is left out, all else (1 or 255) measured",
+       .unit = "FILE"},
+      &mask_);
+  options.Add({.name = "matcher",
+               .help = "sgbm: every pair on its own, in the rectified images; dic: material points "
+                       "are followed by correlation in the raw images",
+               .choices = {"sgbm", "dic"}},
+              &matcher_);
+  options.Add({.name = "step",
+               .help = "distance between points in the left image (for sgbm the rectified one); "
+                       "auto: 1 for sgbm, 8 for dic",
+               .unit = "px",
+               .min = 1,
+               .max = 10000},
+              &step_px_);
+  options.Add({.name = "reference-frame",
+               .help = "the pair that displacements count from, counted from 0; auto: the first "
+                       "good one of those measured",
+               .min = 0,
+               .max = 2e9},
+              &reference_frame_);
+  dic_.Declare(options);
+  DeclareSgbm(options);
+  evaluation_.DeclareGround(options);
+  evaluation_.Declare(options);
+  options.Add({.name = "rig-length-unit",
+               .help = "how many mm the rig file's unit of length is, for OpenCV files in metres: "
+                       "1000",
+               .unit = "mm",
+               .min = 1e-6},
+              &rig_length_unit_mm_);
+  options.Add({.name = "rig-image-size",
+               .help = "image size, for rig files of other programs that do not hold it",
+               .unit = "WxH px"},
+              &rig_image_size_);
+}
+
+void MeasureCommand::DeclareRun(OptionTable& options) {
   options.Add({.name = "frames",
                .help = "which pairs, as start:stop:step counted from 0; empty: all",
                .unit = "A:B:C"},
@@ -100,67 +210,47 @@ void MeasureCommand::Declare(OptionTable& options) {
                .help = "a text table with the time of each frame in its last column",
                .unit = "FILE"},
               &timestamps_);
-  options.Add({.name = "roi",
-               .help = "region of the left image to measure; empty: all of it",
-               .unit = "X,Y,W,H px"},
-              &roi_);
   options.Add(
-      {.name = "mask",
-       .help = "image of the left camera's size: 0 is left out, all else (1 or 255) measured",
-       .unit = "FILE"},
-      &mask_);
-  DeclareMatching(options);
-  DeclareGround(options);
-  options.Add({.name = "rig-length-unit",
-               .help = "how many mm the rig file's unit of length is, for OpenCV files in metres: "
-                       "1000",
-               .unit = "mm",
-               .min = 1e-6},
-              &rig_length_unit_mm_);
-  options.Add({.name = "rig-image-size",
-               .help = "image size, for rig files of other programs that do not hold it",
-               .unit = "WxH px"},
-              &rig_image_size_);
+      {.name = "resume",
+       .help = "go on with a run that was broken off; one that is finished is left as it is"},
+      &resume_);
+  options.Add({.name = "shard",
+               .help = "measure one part of the recording alone, as 2/4 the second of four; "
+                       "plumbline merge joins them",
+               .unit = "I/N"},
+              &shard_);
 }
 
-void MeasureCommand::DeclareMatching(OptionTable& options) {
-  options.Add({.name = "matcher", .help = "how points are matched", .choices = {"sgbm"}},
-              &matcher_);
-  options.Add({.name = "step",
-               .help = "distance between points in the rectified left image",
-               .unit = "px",
-               .min = 1,
-               .max = 10000},
-              &options_.step_px);
+void MeasureCommand::DeclareSgbm(OptionTable& options) {
   options.Add(
       {.name = "min-distance",
        .help = "nearest surface from the left camera; auto: found from the images, else near the "
                "calibration board's distance",
        .unit = "mm",
        .min = 1e-3},
-      &options_.min_distance_mm);
+      &sgbm_.min_distance_mm);
   options.Add({.name = "max-distance",
                .help = "farthest surface from the left camera",
                .unit = "mm",
                .min = 1e-3},
-              &options_.max_distance_mm);
+              &sgbm_.max_distance_mm);
   options.Add({.name = "block",
                .help = "side of the matcher's block, odd; 0: the matcher's own",
                .unit = "px",
                .min = 0,
                .max = 255},
-              &options_.disparity.block_px);
+              &sgbm_.disparity.block_px);
   options.Add({.name = "uniqueness",
                .help = "by how much the best match must beat the second best",
                .unit = "%",
                .min = 0,
                .max = 100},
-              &options_.disparity.uniqueness_percent);
+              &sgbm_.disparity.uniqueness_percent);
   options.Add({.name = "left-right-tolerance",
                .help = "by how much the matches from left and from right may differ",
                .unit = "px",
                .min = 0},
-              &options_.disparity.left_right_tolerance_px);
+              &sgbm_.disparity.left_right_tolerance_px);
   options.Add({.name = "rectification",
                .help = "how the images are rectified; auto: pinhole up to 90 degrees of view",
                .choices = {"auto", "pinhole", "lat-lon"}},
@@ -170,117 +260,208 @@ void MeasureCommand::DeclareMatching(OptionTable& options) {
                .unit = "px",
                .min = 0.05,
                .max = 8},
-              &options_.rectification.pixels_per_input_pixel);
+              &sgbm_.rectification.pixels_per_input_pixel);
 }
 
-void MeasureCommand::DeclareGround(OptionTable& options) {
-  options.Add({.name = "frame",
-               .help = "frame of the positions: ground (z up from the plane found; rig where none "
-                       "holds) or rig (the left camera)",
-               .choices = {"ground", "rig"}},
-              &frame_);
-  options.Add({.name = "plane-threshold",
-               .help = "distance from the plane up to which a point belongs to it; 0: from the "
-                       "points' own sigmas and scatter",
-               .unit = "mm",
-               .min = 0},
-              &options_.ground.inlier_threshold_mm);
-  options.Add({.name = "plane-min-share",
-               .help = "share of the points that a plane must hold",
-               .min = 0.01,
-               .max = 1},
-              &options_.ground.min_inlier_fraction);
-  options.Add({.name = "point-covariance", .help = "also store the 3x3 covariance of each point"},
-              &options_.point_covariance);
+ImageSourceOptions MeasureCommand::SourceOptions() const {
+  ImageSourceOptions options;
+  options.frames = frames_;
+  options.frames_per_second = frames_per_second_;
+  options.timestamps_csv = timestamps_;
+  return options;
 }
 
-MeasureOptions MeasureCommand::Options(std::uint64_t seed) const {
-  MeasureOptions options = options_;
+MeasureOptions MeasureCommand::SgbmOptions(std::uint64_t seed) const {
+  MeasureOptions options = sgbm_;
+  options.step_px = step_px_.value_or(1);
   if (!roi_.empty()) options.roi = PixelRegion::Parse(roi_);
   if (!mask_.empty()) options.mask = ReadMask(mask_);
   options.rectification.kind = rectification_ == "pinhole"   ? RectificationKind::kPinhole
                                : rectification_ == "lat-lon" ? RectificationKind::kLatLon
                                                              : RectificationKind::kAuto;
-  options.turn_into_ground_frame = frame_ == "ground";
+  options.turn_into_ground_frame = evaluation_.in_ground_frame();
+  options.point_covariance = evaluation_.point_covariance();
+  options.ground = evaluation_.ground();
   options.ground.seed = seed;
   options.Check();
   return options;
 }
 
-void MeasureCommand::MeasureAll(const StereoMeasurement& measurement, ImageSource& source,
-                                SeriesWriter& writer, ProgressStyle style,
-                                MeasureReport& report) const {
-  Progress progress("measuring", source.DeclaredCount(), style);
-  while (!InterruptGuard::Requested()) {
-    const std::optional<StereoFrame> pair = source.Next();
-    if (!pair) return;
-    const MeasuredFrame measured = MeasureOne(measurement, *pair, report.measured() > 0);
-    writer.Commit(measured.frame);
-    if (!measured.frame.problem.empty()) {
-      progress.Note(fmt::format("Frame {} is marked as bad: {}", measured.frame.index,
-                                measured.frame.problem));
-    }
-    report.Add(measured);
-    progress.Advance();
+Measurement MeasureCommand::Sgbm(const RigInput& rig, std::uint64_t seed) const {
+  MeasureOptions options = SgbmOptions(seed);
+  options.likely_distance_mm = rig.working_distance_mm;
+  const auto stereo = std::make_shared<const StereoMeasurement>(rig.rig, options);
+  Measurement out{{.rig = rig.rig,
+                   .grid_px = stereo->grid_px(),
+                   .recipe_toml = {},
+                   .inputs = {},
+                   .rig_extras = {}},
+                  {},
+                  {},
+                  1,
+                  {}};
+  out.header.step_px = options.step_px;
+  out.header.subset_px = stereo->window_px();
+  out.header.contents.covariance = options.point_covariance;
+  out.measure = [stereo](const StereoFrame& pair, std::int64_t) -> ReportedFrame {
+    MeasuredFrame measured = stereo->Measure(pair);
+    return {std::move(measured.frame), measured.summary, std::nullopt, 0};
+  };
+  out.first_to_measure = [](std::int64_t wanted) { return wanted; };
+  return out;
+}
+
+// The pair that displacements count from.
+StereoFrame MeasureCommand::ReferencePair() const {
+  ImageSourceOptions options = SourceOptions();
+  if (reference_frame_) options.frames = fmt::format("{}", *reference_frame_);
+  const auto source = OpenImageSource(left_, right_, options);
+  std::string problem;
+  while (std::optional<StereoFrame> pair = source->Next()) {
+    if (pair->problem.empty()) return std::move(*pair);
+    if (problem.empty()) problem = pair->problem;
   }
-  report.SetInterrupted();
+  if (problem.empty()) throw InputError("There are no frames to measure.");
+  throw InputError(
+      fmt::format("No pair can serve as the reference that displacements count from: {}", problem));
+}
+
+Measurement MeasureCommand::Dic(const RigInput& rig, std::uint64_t seed) const {
+  const SurfaceEvaluationOptions evaluation = evaluation_.Options(seed);
+  const StereoFrame reference = ReferencePair();
+  StereoRunOptions options =
+      dic_.Options(seed, reference.left.bits, step_px_.value_or(8), evaluation);
+  if (!roi_.empty()) options.roi = PixelRegion::Parse(roi_);
+  if (!mask_.empty()) options.mask = ReadMask(mask_);
+  const auto run = std::make_shared<StereoRun>(rig.rig, reference, options);
+  Measurement out{run->Header(), {}, {}, options.block_frames, run->Notes()};
+  out.measure = [run](const StereoFrame& pair, std::int64_t position) -> ReportedFrame {
+    StereoRunFrame measured = run->Measure(pair, position);
+    FrameSummary summary;
+    summary.grid_points = measured.summary.grid_points;
+    summary.valid_points = measured.summary.valid_points;
+    summary.plane_distance_mm = measured.summary.plane_distance_mm;
+    return {std::move(measured.frame), summary, measured.summary,
+            measured.match_s + measured.evaluate_s};
+  };
+  out.first_to_measure = [run](std::int64_t wanted) { return run->FirstToMeasure(wanted); };
+  return out;
+}
+
+// Where --resume finds the run finished: what there is to say of that.
+std::optional<CommandReport> MeasureCommand::FinishedBefore(const fs::path& output,
+                                                            const std::string& recipe_toml) const {
+  if (!resume_) return std::nullopt;
+  const RunState state = FindRun(output);
+  if (state.kind != RunState::Kind::kFinished) return std::nullopt;
+  if (RecipeOfTheData(state.recipe_toml) != RecipeOfTheData(recipe_toml)) {
+    throw InputError(fmt::format(
+        "'{}' is finished and was made with other settings; choose another name with -o, or say "
+        "--overwrite instead of --resume.",
+        output_));
+  }
+  CommandReport report;
+  report.text =
+      fmt::format("{} is finished: {} frames. Nothing was left to do.\n", output_, state.frames);
+  report.json = {{"output", output.string()}, {"frames_read", state.frames}, {"finished", true}};
+  return report;
 }
 
 CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string& recipe_toml) {
-  MeasureOptions options = Options(common.seed);
-  const fs::path output = fs::absolute(output_);
-  if (fs::exists(output) && !overwrite_) {
-    throw InputError(fmt::format(
-        "'{}' is there already; choose another name with -o, or say --overwrite.", output_));
-  }
-  if (!fs::is_directory(output.parent_path())) {
-    throw EnvironmentError(fmt::format("There is no folder '{}' to write into; make it first.",
-                                       output.parent_path().string()));
-  }
+  const bool dic = matcher_ == "dic";
+  const fs::path output = CheckedOutput(output_, overwrite_ || resume_);
+  if (const auto report = FinishedBefore(output, recipe_toml)) return *report;
+  std::optional<Shard> shard;
+  if (!shard_.empty()) shard = Shard::Parse(shard_);
   ForeignCalibrationOptions foreign;
   foreign.length_unit_mm = rig_length_unit_mm_;
   if (!rig_image_size_.empty()) foreign.image_size = ParseImageSize(rig_image_size_);
+  if (!dic) SgbmOptions(common.seed);  // before anything is read: what is wrong with them
   const RigInput rig = OpenRig(rig_, foreign);
-  options.likely_distance_mm = rig.working_distance_mm;
   for (const std::string& note : rig.notes) spdlog::info("Note: {}", note);
   if (rig.rig.modes.count() == 0) {
     spdlog::info(
         "Note: this calibration does not say how sure it is, so the calibration part of all "
         "uncertainties is unknown (NaN). Calibrate with plumbline calibrate to have it.");
   }
-  ImageSourceOptions source_options;
-  source_options.frames = frames_;
-  source_options.frames_per_second = frames_per_second_;
-  source_options.timestamps_csv = timestamps_;
-  const auto source = OpenImageSource(left_, right_, source_options);
-  const StereoMeasurement measurement(rig.rig, options);
+  const auto source = OpenImageSource(left_, right_, SourceOptions());
+  Measurement measurement = dic ? Dic(rig, common.seed) : Sgbm(rig, common.seed);
+  for (const std::string& note : measurement.notes) spdlog::info("Note: {}", note);
 
-  SeriesHeader header{.rig = rig.rig,
-                      .grid_px = measurement.grid_px(),
-                      .step_px = options.step_px,
-                      .subset_px = measurement.window_px(),
-                      .recipe_toml = recipe_toml,
-                      .inputs = source->Files(),
-                      .rig_extras = {},
-                      .contents = {.covariance = options.point_covariance}};
+  SeriesHeader& header = measurement.header;
+  header.recipe_toml = recipe_toml;
+  header.inputs = source->Files();
   for (const std::string& file : rig.files) header.inputs.emplace_back(file);
-  if (!mask_.empty()) header.inputs.emplace_back(mask_);
+  for (const std::string& file : {mask_, dic ? dic_.noise() : std::string()}) {
+    if (!file.empty()) header.inputs.emplace_back(file);
+  }
+  MeasuredRange range;
+  if (shard) {
+    if (source->DeclaredCount() < 1) {
+      throw InputError(
+          "The recording does not say how many frames it holds, so that it cannot be "
+          "cut into shards; give --frames with both ends.");
+    }
+    range = shard->RangeOf(source->DeclaredCount(), measurement.block_frames);
+    if (range.first_wanted >= *range.end) {
+      throw InputError(fmt::format(
+          "Shard {} of {} would hold no frame: the recording has {} frames in blocks of {}; take "
+          "fewer shards or a smaller --block-frames.",
+          shard->index, shard->count, source->DeclaredCount(), measurement.block_frames));
+    }
+  }
 
   const InterruptGuard guard;
-  MeasureReport report(output, source->DeclaredCount(), rig.rig.modes.count() > 0);
-  SeriesWriter writer(output, header);
-  MeasureAll(measurement, *source, writer, common.progress(), report);
+  SeriesWriter writer(output, header, resume_ ? SeriesStart::kResume : SeriesStart::kNew);
+  const std::int64_t kept = writer.committed();
+  range.first_wanted += kept;
+  range.first = std::min(range.first_wanted, measurement.first_to_measure(range.first_wanted));
+  if (kept > 0) spdlog::info("Going on after the {} frames that are there.", kept);
+  const std::int64_t declared =
+      (range.end ? *range.end : source->DeclaredCount()) - range.first_wanted;
+  MeasureReport report(output, declared, rig.rig.modes.count() > 0);
+  const auto begin = std::chrono::steady_clock::now();
+  {
+    Progress progress(kept > 0 ? "measuring the rest" : "measuring", declared, common.progress());
+    SizeGuard sizes;
+    const bool stopped = RunFlow(
+        *source, range,
+        [&](const StereoFrame& pair, std::int64_t position) {
+          return sizes(pair,
+                       [&](const StereoFrame& one) { return measurement.measure(one, position); });
+        },
+        [&](const ReportedFrame& measured) {
+          writer.Commit(measured.frame);
+          if (!measured.frame.problem.empty()) {
+            progress.Note(fmt::format("Frame {} is marked as bad: {}", measured.frame.index,
+                                      measured.frame.problem));
+          }
+          if (measured.frame.rig_watch.alarm) {
+            progress.Note(AlarmText(measured.frame.index, measured.frame.rig_watch));
+          }
+          report.Add(measured);
+          progress.SetDetail(report.ShareText());
+          progress.Advance();
+        },
+        [] { return InterruptGuard::Requested(); });
+    if (stopped) report.SetInterrupted();
+  }
+  report.SetSeconds(
+      std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());
   const std::vector<std::string> notes = source->Notes();
   for (const std::string& note : notes) spdlog::info("Note: {}", note);
-  if (report.frames() == 0) {
+  if (report.frames() + kept == 0) {
     spdlog::error(report.interrupted() ? "Stopped before the first frame was finished; nothing was "
                                          "written."
                                        : "There are no frames to measure; nothing was written.");
     return {"", {{"interrupted", report.interrupted()}}, report.interrupted() ? 130 : 3};
   }
-  writer.Close();
+  // An interrupted run stays as it is, to be gone on with.
+  if (!report.interrupted()) writer.Close();
   CommandReport result = report.Make();
-  result.json["notes"] = notes;
+  std::vector<std::string> all = measurement.notes;
+  all.insert(all.end(), notes.begin(), notes.end());
+  result.json["notes"] = all;
   return result;
 }
 

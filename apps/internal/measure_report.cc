@@ -52,15 +52,36 @@ ImageSize ParseImageSize(const std::string& text) {
   return size;
 }
 
+std::string AlarmText(std::int64_t frame, const RigWatchRecord& watch) {
+  return fmt::format(
+      "Frame {}: the cameras have moved against each other (turned by {:.3f} deg, {:.2f} mm; "
+      "points "
+      "lie {:.3f} px from their epipolar lines, where noise explains {:.3f} px).{}",
+      frame, watch.change.head<3>().norm() * kDegrees, watch.change.tail<3>().norm(),
+      watch.epipolar_rms_px, watch.epipolar_sigma_px,
+      watch.refined ? " Their pose is refined for this frame."
+                    : " Calibrate again, or measure with --refine-pose significant.");
+}
+
 MeasureReport::MeasureReport(std::filesystem::path output, std::int64_t declared_frames,
                              bool has_calibration)
     : output_(std::move(output)),
       declared_frames_(declared_frames),
       has_calibration_(has_calibration) {}
 
-void MeasureReport::Add(const MeasuredFrame& measured) {
+void MeasureReport::Add(const ReportedFrame& measured) {
   frames_.push_back({measured.frame.index, measured.frame.left_id, measured.frame.problem,
-                     measured.summary, measured.frame.ground});
+                     measured.summary, measured.frame.ground, measured.frame.rig_watch,
+                     measured.motion});
+}
+
+std::string MeasureReport::ShareText() const {
+  std::int64_t valid = 0, all = 0;
+  for (const Row& row : frames_) {
+    valid += row.summary.valid_points;
+    all += row.problem.empty() ? row.summary.grid_points : 0;
+  }
+  return fmt::format("{:.1f} % valid", Share(valid, all));
 }
 
 std::int64_t MeasureReport::measured() const {
@@ -74,6 +95,7 @@ std::string MeasureReport::FrameText(const Row& row) const {
   if (!row.problem.empty()) return text + "bad. " + row.problem + "\n";
   text += fmt::format("{} of {} points measured ({:.1f} %).\n", s.valid_points, s.grid_points,
                       Share(s.valid_points, s.grid_points));
+  if (row.motion) return text + MotionText(row);
   if (!row.ground.found) {
     return text +
            fmt::format("  {} Positions are in the rig frame (left camera).\n", row.ground.problem);
@@ -90,6 +112,61 @@ std::string MeasureReport::FrameText(const Row& row) const {
   text += fmt::format("  Height of one point above it ({}), median.\n",
                       PlusMinus(s.median_sigma_random_mm, s.median_sigma_calibration_mm, "mm"));
   return text;
+}
+
+// Of stereo-DIC: three components with both parts of their uncertainty, the medians of the points.
+std::string MeasureReport::MotionText(const Row& row) const {
+  const SurfaceSummary& m = *row.motion;
+  const auto three = [](const Eigen::Vector3d& value, const Eigen::Vector3d& random,
+                        const Eigen::Vector3d& calibration, const char* format, double scale) {
+    std::string text;
+    for (int k = 0; k < 3; ++k) {
+      text += fmt::format(fmt::runtime(format), k == 0 ? "" : ", ", scale * value[k],
+                          kExpanded * scale * random[k]);
+      if (std::isfinite(calibration[k])) {
+        text += fmt::format(" +- {:.2g}", kExpanded * scale * calibration[k]);
+      }
+    }
+    return text;
+  };
+  std::string text;
+  if (row.ground.found) {
+    text += fmt::format("  Plane: {:.1f} % of the points, rms distance {:.1f} um.\n",
+                        100 * row.ground.inlier_fraction, 1000 * row.ground.rms_mm);
+  }
+  if (row.watch.found) {
+    text += fmt::format("  Epipolar distance {:.3f} px rms; noise explains {:.3f} px.{}\n",
+                        row.watch.epipolar_rms_px, row.watch.epipolar_sigma_px,
+                        row.watch.alarm ? " ALARM: the cameras have moved." : "");
+  }
+  text += fmt::format("  Displacement (x, y, z), median: {} mm.\n",
+                      three(m.displacement_mm, m.sigma_random_displacement_mm,
+                            m.sigma_calibration_displacement_mm, "{}{:.4f} +- {:.2g}", 1));
+  if (m.strain_points > 0) {
+    text += fmt::format("  Strain (xx, yy, xy), median of {} gauges: {} microstrain.\n",
+                        m.strain_points,
+                        three(m.strain, m.sigma_random_strain, m.sigma_calibration_strain,
+                              "{}{:.0f} +- {:.2g}", 1e6));
+  }
+  return text;
+}
+
+nlohmann::json MeasureReport::MotionJson(const Row& row) const {
+  const SurfaceSummary& m = *row.motion;
+  const auto three = [](const Eigen::Vector3d& v) {
+    return nlohmann::json{Finite(v[0]), Finite(v[1]), Finite(v[2])};
+  };
+  return {{"displacement_mm", three(m.displacement_mm)},
+          {"sigma_random_displacement_mm", three(m.sigma_random_displacement_mm)},
+          {"sigma_calibration_displacement_mm", three(m.sigma_calibration_displacement_mm)},
+          {"strain_points", m.strain_points},
+          {"strain", three(m.strain)},
+          {"sigma_random_strain", three(m.sigma_random_strain)},
+          {"sigma_calibration_strain", three(m.sigma_calibration_strain)},
+          {"epipolar_rms_px", Finite(row.watch.epipolar_rms_px)},
+          {"epipolar_sigma_px", Finite(row.watch.epipolar_sigma_px)},
+          {"rig_moved", row.watch.alarm},
+          {"pose_refined", row.watch.refined}};
 }
 
 std::string MeasureReport::Text() const {
@@ -109,17 +186,21 @@ std::string MeasureReport::Text() const {
   const std::int64_t bad = frames() - measured();
   text += fmt::format("{} of {} frames measured", measured(), std::max(declared_frames_, frames()));
   if (bad > 0) text += fmt::format(", {} marked as bad", bad);
+  if (seconds_ > 0 && frames() > 1) {
+    text += fmt::format(", {:.2g} a second", static_cast<double>(frames()) / seconds_);
+  }
   text += ".\n";
   if (interrupted_) {
     text += fmt::format(
-        "Stopped by Ctrl-C: the {} finished frames are kept; go on with --frames {}: and another "
-        "output file.\n",
-        frames(), frames_.empty() ? 0 : frames_.back().index + 1);
+        "Stopped by Ctrl-C: the {} finished frames are kept in {}.parts. The same command with "
+        "--resume goes on; plumbline recover {} makes a file of what is there.\n",
+        frames(), output_.string(), output_.string());
   }
   text += "All +- are expanded uncertainties (k = 2); the file holds standard deviations.\n";
   if (!has_calibration_) {
     text += "The calibration part is unknown: the rig file carries no uncertainty.\n";
   }
+  if (interrupted_) return text;
   text += fmt::format(
       "Wrote {}. Look at it with: plumbline info {}, or plumbline export {} --format ply\n",
       output_.string(), output_.filename().string(), output_.filename().string());
@@ -140,6 +221,7 @@ nlohmann::json MeasureReport::Json() const {
                             {"problem", row.problem},
                             {"grid_points", row.summary.grid_points},
                             {"valid_points", row.summary.valid_points}};
+    if (row.motion) frame["motion"] = MotionJson(row);
     if (row.ground.found) {
       const GroundAngles angles = AnglesOf(row.ground);
       frame["plane"] = {

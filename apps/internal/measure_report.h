@@ -1,11 +1,14 @@
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "apps/internal/command.h"
 #include "apps/pipeline.h"
+#include "apps/surface_evaluation.h"
 #include "calib/image.h"
 
 namespace plumbline::internal {
@@ -13,17 +16,32 @@ namespace plumbline::internal {
 // "1920x1200". Throws UsageError.
 ImageSize ParseImageSize(const std::string& text);
 
+// One frame, of whatever matcher, with what there is to say of it.
+struct ReportedFrame {
+  SeriesFrame frame;
+  FrameSummary summary;
+  std::optional<SurfaceSummary> motion;  // of stereo-DIC
+  double seconds = 0;                    // that it took
+};
+
+// "Frame 7: the cameras have moved ...".
+std::string AlarmText(std::int64_t frame, const RigWatchRecord& watch);
+
 // Gathers what `measure` says at its end, without keeping the frames.
 class MeasureReport {
  public:
   MeasureReport(std::filesystem::path output, std::int64_t declared_frames, bool has_calibration);
 
-  void Add(const MeasuredFrame& measured);
+  void Add(const ReportedFrame& measured);
+  void SetSeconds(double seconds) { seconds_ = seconds; }
   void SetInterrupted() { interrupted_ = true; }
 
   std::int64_t frames() const { return static_cast<std::int64_t>(frames_.size()); }
   std::int64_t measured() const;
   bool interrupted() const { return interrupted_; }
+
+  // "97.2 % valid": of the points so far.
+  std::string ShareText() const;
 
   // Exit code 0; 3 when no frame could be measured; 130 after Ctrl-C.
   CommandReport Make() const;
@@ -34,8 +52,12 @@ class MeasureReport {
     std::string left_id, problem;
     FrameSummary summary;
     GroundRecord ground;
+    RigWatchRecord watch;
+    std::optional<SurfaceSummary> motion;
   };
   std::string FrameText(const Row& row) const;
+  std::string MotionText(const Row& row) const;
+  nlohmann::json MotionJson(const Row& row) const;
   std::string Text() const;
   nlohmann::json Json() const;
 
@@ -43,6 +65,7 @@ class MeasureReport {
   std::int64_t declared_frames_;
   bool has_calibration_;
   bool interrupted_ = false;
+  double seconds_ = 0;
   std::vector<Row> frames_;
 };
 

@@ -76,4 +76,17 @@ std::string RigText(const StereoRig& rig) {
   return text;
 }
 
+fs::path CheckedOutput(const std::string& output, bool overwrite) {
+  const fs::path path = fs::absolute(output);
+  if (fs::exists(path) && !overwrite) {
+    throw InputError(fmt::format(
+        "'{}' is there already; choose another name with -o, or say --overwrite.", output));
+  }
+  if (!fs::is_directory(path.parent_path())) {
+    throw EnvironmentError(fmt::format("There is no folder '{}' to write into; make it first.",
+                                       path.parent_path().string()));
+  }
+  return path;
+}
+
 }  // namespace plumbline::internal

@@ -25,4 +25,8 @@ ResultFile OpenResultFile(const std::string& path);
 // The rig in a few lines.
 std::string RigText(const StereoRig& rig);
 
+// Refuses an output that is there already (unless it may be replaced), that is one of the inputs,
+// or whose folder is not. Throws InputError, EnvironmentError.
+std::filesystem::path CheckedOutput(const std::string& output, bool overwrite);
+
 }  // namespace plumbline::internal

@@ -25,6 +25,7 @@ class FileSequence : public ImageSequence {
 
   std::int64_t DeclaredCount() const override { return selection_.Count(); }
   std::optional<SequenceImage> Next() override;
+  void Skip(std::int64_t count) { next_ += count * selection_.step; }
   std::vector<std::string> Notes() const override;
   std::vector<std::filesystem::path> Files() const override;
 

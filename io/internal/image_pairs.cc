@@ -56,6 +56,11 @@ class ImagePairs : public ImageSource {
     return frame;
   }
 
+  void Skip(std::int64_t count) override {
+    left_.Skip(count);
+    right_.Skip(count);
+  }
+
   std::vector<std::string> Notes() const override {
     std::vector<std::string> notes;
     if (!pairing_note_.empty()) notes.push_back(pairing_note_);

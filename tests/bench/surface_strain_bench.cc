@@ -13,8 +13,8 @@ constexpr int kStepPx = 5, kSubsetPx = 21, kModes = 12;
 constexpr double kStretch = 1.02;
 
 // A cylinder of radius 200 mm, stretched along its axis.
-SurfaceInstant InstantOf(double stretch) {
-  SurfaceInstant instant;
+SurfaceState InstantOf(double stretch) {
+  SurfaceState instant;
   instant.point_mm = Image<Eigen::Vector3d>(kGrid, Eigen::Vector3d::Zero());
   Image<Eigen::Vector3f> along(kGrid, Eigen::Vector3f::Zero());
   for (int r = 0; r < kGrid.height; ++r) {
@@ -39,7 +39,7 @@ void StrainOfAFrame(benchmark::State& state, int order, int missing_every) {
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, 1);
   SurfaceStrainOptions options;
   options.order = order;
-  const SurfaceInstant now = InstantOf(kStretch);
+  const SurfaceState now = InstantOf(kStretch);
   const SurfaceGauges gauges(InstantOf(1), Image<Eigen::Vector3f>(kGrid, {1e-4F, 0, 1e-4F}),
                              NeighbourCorrelation::OfOverlap(kGrid, kStepPx, kSubsetPx, 1), kStepPx,
                              kSubsetPx, options);
@@ -65,7 +65,7 @@ BENCHMARK_CAPTURE(StrainOfAFrame, order_2_one_in_50_missing, 2, 51)->Unit(benchm
 // The baseline: the gauges themselves, what each frame would cost if they were worked out again.
 void GaugesOfTheReference(benchmark::State& state) {
   const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, 1);
-  const SurfaceInstant reference = InstantOf(1);
+  const SurfaceState reference = InstantOf(1);
   for (auto _ : state) {
     const SurfaceGauges gauges(reference, Image<Eigen::Vector3f>(kGrid, {1e-4F, 0, 1e-4F}),
                                NeighbourCorrelation::OfOverlap(kGrid, kStepPx, kSubsetPx, 1),

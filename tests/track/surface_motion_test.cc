@@ -10,7 +10,7 @@
 #include "calib/error.h"
 #include "tests/support/rendered_surface.h"
 #include "tests/support/subset_noise.h"
-#include "track/surface_instant.h"
+#include "track/surface_state.h"
 
 namespace plumbline {
 namespace {
@@ -77,10 +77,10 @@ TEST(SurfaceMotion, CoversTheTruthOverDrawsOfTheNoise) {
         if (!moved.value_mm(r, c).allFinite() || !still.value_mm(r, c).allFinite()) continue;
         const Eigen::Vector2d material = first.MaterialAt(rig, seen.left.PixelOf(r, c));
         const Eigen::Vector3d truth = now.PointInRig(material);
-        position.Add(after.instant.point_mm(r, c) - truth, SymmetricOf(cov(r, c)));
+        position.Add(after.instant.point_mm(r, c) - truth, CovarianceOf(cov(r, c)));
         displacement.Add(moved.value_mm(r, c) - (truth - first.PointInRig(material)),
-                         SymmetricOf(moved.cov_random_mm2(r, c)));
-        velocity.Add(still.value_mm(r, c), SymmetricOf(still.cov_random_mm2(r, c)));
+                         CovarianceOf(moved.cov_random_mm2(r, c)));
+        velocity.Add(still.value_mm(r, c), CovarianceOf(still.cov_random_mm2(r, c)));
       }
     }
   }
@@ -94,12 +94,12 @@ TEST(SurfaceMotion, CoversTheTruthOverDrawsOfTheNoise) {
 
 // Points on a bowl, with a made-up error model; moved rigidly and stretched.
 struct Instants {
-  SurfaceInstant from, to;
+  SurfaceState from, to;
   Image<Eigen::Vector3f> unit;
   Rigid3 motion = Rigid3::FromRotationVector({0.1, -0.05, 0.17}, {20, -3, 5});
 
   explicit Instants(ImageSize size, int modes = 2) {
-    const auto fill = [&](SurfaceInstant& instant, const Rigid3& moved, bool with_left) {
+    const auto fill = [&](SurfaceState& instant, const Rigid3& moved, bool with_left) {
       instant.point_mm = Image<Eigen::Vector3d>(size, Eigen::Vector3d::Zero());
       instant.d_left = instant.d_right =
           Image<Eigen::Matrix<float, 3, 2>>(size, Eigen::Matrix<float, 3, 2>::Zero());
@@ -138,7 +138,7 @@ TEST(SurfaceMotion, AddsWhatEachMatchDoesAndWhatTheyShare) {
   const Eigen::Matrix3d expected =
       0.5 * (a * unit * a.transpose() + b * unit * b.transpose() + c * unit * c.transpose() +
              (a + b + c) * unit * (a + b + c).transpose());
-  EXPECT_LT((SymmetricOf(motion.cov_random_mm2(1, 2)) - expected).norm(), 1e-6 * expected.norm());
+  EXPECT_LT((CovarianceOf(motion.cov_random_mm2(1, 2)) - expected).norm(), 1e-6 * expected.norm());
   const Eigen::Vector3d moved = set.to.point_mm(1, 2) - set.from.point_mm(1, 2);
   EXPECT_EQ(motion.value_mm(1, 2), moved);
   const Eigen::Vector3f along = (moved * std::sqrt(5.0) * 1e-4).cwiseAbs().cast<float>();
@@ -161,7 +161,7 @@ TEST(RigidMotion, IsFoundAndTakenOut) {
 
 TEST(RigidMotion, HasTheScatterThatItClaims) {
   Instants set({9, 7}, 0);
-  const SurfaceInstant perfect = set.to;
+  const SurfaceState perfect = set.to;
   testing::NormalDeviates draw(5);
   const SurfaceMotion motion = MotionBetween(set.from, set.to, set.unit);
   double sum = 0;
@@ -169,7 +169,7 @@ TEST(RigidMotion, HasTheScatterThatItClaims) {
   for (int n = 0; n < kDraws; ++n) {
     for (std::size_t i = 0; i < set.unit.pixel_count(); ++i) {
       const Eigen::Matrix3d L =
-          SymmetricOf(motion.cov_random_mm2.data()[i]).llt().matrixL().toDenseMatrix();
+          CovarianceOf(motion.cov_random_mm2.data()[i]).llt().matrixL().toDenseMatrix();
       set.to.point_mm.data()[i] =
           perfect.point_mm.data()[i] + L * Eigen::Vector3d(draw(), draw(), draw());
     }
@@ -216,7 +216,7 @@ TEST(EpipolarDistance, TakesOutMismatchesAndNotWhatAllPointsHave) {
   EXPECT_NEAR(surface.rms_epipolar_px, 1.5, 0.2);
 }
 
-TEST(SurfaceInstants, OfDifferentGridsAreRefused) {
+TEST(SurfaceStates, OfDifferentGridsAreRefused) {
   const Instants small({4, 3}), large({5, 3});
   EXPECT_THROW(static_cast<void>(MotionBetween(small.from, large.to, small.unit)), InputError);
 }

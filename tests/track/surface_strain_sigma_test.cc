@@ -71,8 +71,8 @@ TEST_P(SigmaOfSurfaceStrain, HoldsOverDrawsOfTheMatches) {
     return L * z;
   };
 
-  SurfaceInstant reference = InstantOf(kSmallGrid, OnSaddle);
-  SurfaceInstant now = InstantOf(kSmallGrid, OnLoadedSaddle);
+  SurfaceState reference = InstantOf(kSmallGrid, OnSaddle);
+  SurfaceState now = InstantOf(kSmallGrid, OnLoadedSaddle);
   AddMatches(reference, true);
   AddMatches(now, false);
   Image<Status> status = AllOk(kSmallGrid);
@@ -86,7 +86,7 @@ TEST_P(SigmaOfSurfaceStrain, HoldsOverDrawsOfTheMatches) {
   options.order = given.order;
   options.measure = given.measure;
   if (given.along_x) options.x_direction = Eigen::Vector3d(1, 1, -0.5);
-  const auto measure = [&](const SurfaceInstant& before, const SurfaceInstant& after) {
+  const auto measure = [&](const SurfaceState& before, const SurfaceState& after) {
     return SurfaceGauges(before, cov_px2, neighbours, kStepPx, kSubsetPx, options)
         .Strain(after, status);
   };
@@ -95,7 +95,7 @@ TEST_P(SigmaOfSurfaceStrain, HoldsOverDrawsOfTheMatches) {
   double nees = 0, count = 0, inside = 0;
   for (int i = 0; i < kDraws; ++i) {
     const Eigen::VectorXd common = noise();
-    const auto disturb = [&](SurfaceInstant& instant, const Image<Eigen::Matrix<float, 3, 2>>& D,
+    const auto disturb = [&](SurfaceState& instant, const Image<Eigen::Matrix<float, 3, 2>>& D,
                              const Image<float>& scale, const Image<float>& share) {
       const Eigen::VectorXd own = noise();
       for (int p = 0; p < points; ++p) {
@@ -106,7 +106,7 @@ TEST_P(SigmaOfSurfaceStrain, HoldsOverDrawsOfTheMatches) {
         instant.point_mm.data()[p] += D.data()[p].cast<double>() * error;
       }
     };
-    SurfaceInstant before = reference, after = now;
+    SurfaceState before = reference, after = now;
     disturb(before, reference.d_right, reference.scale_right, reference.share_right);
     disturb(after, now.d_left, now.scale_left, now.share_left);
     disturb(after, now.d_right, now.scale_right, now.share_right);
@@ -145,7 +145,7 @@ INSTANTIATE_TEST_SUITE_P(Gauges, SigmaOfSurfaceStrain,
                                            NoiseCase{5, 2, StrainMeasure::kHencky, true, true}));
 
 TEST(SigmaOfSurfaceStrain, IsZeroForTheSameMatchesOnceMore) {
-  SurfaceInstant reference = InstantOf(kGrid, OnSaddle);
+  SurfaceState reference = InstantOf(kGrid, OnSaddle);
   AddMatches(reference, true);
   const SurfaceStrain repeated = GaugesOf(reference).Strain(reference, AllOk(kGrid));
   EXPECT_GT(repeated.cov_strain(10, 10)[0], 1e-12F);
@@ -159,7 +159,7 @@ TEST(CalibrationOfSurfaceStrain, IsThatOfMeasuringAgainAlongEachMode) {
     SurfaceStrainOptions options;
     options.measure = measure;
     if (measure == StrainMeasure::kHencky) options.x_direction = Eigen::Vector3d(1, 1, 0);
-    SurfaceInstant reference = InstantOf(kGrid, OnSaddle), now = InstantOf(kGrid, OnLoadedSaddle);
+    SurfaceState reference = InstantOf(kGrid, OnSaddle), now = InstantOf(kGrid, OnLoadedSaddle);
     AddModes(reference);
     AddModes(now);
     const SurfaceStrain strain = GaugesOf(reference, options).Strain(now, AllOk(kGrid));
@@ -167,7 +167,7 @@ TEST(CalibrationOfSurfaceStrain, IsThatOfMeasuringAgainAlongEachMode) {
       Eigen::Matrix<double, 8, 1> variance = Eigen::Matrix<double, 8, 1>::Zero();
       for (const auto& mode : Modes()) {
         const auto along = [&](double sigmas) {
-          SurfaceInstant before = reference, after = now;
+          SurfaceState before = reference, after = now;
           for (Eigen::Vector3d& p : before.point_mm.values()) p += sigmas * mode(p);
           for (Eigen::Vector3d& p : after.point_mm.values()) p += sigmas * mode(p);
           const SurfaceStrain again = GaugesOf(before, options).Strain(after, AllOk(kGrid));
@@ -195,8 +195,8 @@ TEST(CalibrationOfSurfaceStrain, IsNoneForAModeThatMovesTheFrameRigidly) {
   for (const StrainMeasure measure : kMeasures) {
     SurfaceStrainOptions options;
     options.measure = measure;
-    SurfaceInstant reference = InstantOf(kGrid, OnSaddle), now = InstantOf(kGrid, OnLoadedSaddle);
-    for (SurfaceInstant* instant : {&reference, &now}) {
+    SurfaceState reference = InstantOf(kGrid, OnSaddle), now = InstantOf(kGrid, OnLoadedSaddle);
+    for (SurfaceState* instant : {&reference, &now}) {
       Image<Eigen::Vector3f> along(kGrid, Eigen::Vector3f::Zero());
       for (std::size_t i = 0; i < along.pixel_count(); ++i)
         along.data()[i] = (Eigen::Vector3d(0.01, 0.02, -0.01) +
@@ -211,7 +211,7 @@ TEST(CalibrationOfSurfaceStrain, IsNoneForAModeThatMovesTheFrameRigidly) {
 }
 
 TEST(CalibrationOfSurfaceStrain, IsUnknownWithoutModes) {
-  const SurfaceInstant reference = InstantOf(kGrid, OnSaddle);
+  const SurfaceState reference = InstantOf(kGrid, OnSaddle);
   const SurfaceStrain strain =
       GaugesOf(reference).Strain(InstantOf(kGrid, OnLoadedSaddle), AllOk(kGrid));
   EXPECT_EQ(strain.status(10, 10), Status::kOk);

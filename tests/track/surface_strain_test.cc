@@ -50,7 +50,7 @@ TEST(SurfaceStrain, OfARigidMotionIsZeroHoweverCurvedTheSurface) {
       SurfaceStrainOptions options;
       options.order = order;
       options.measure = measure;
-      SurfaceInstant now = InstantOf(kGrid, moved);
+      SurfaceState now = InstantOf(kGrid, moved);
       Remove(now, 8, 9);
       const SurfaceStrain strain =
           GaugesOf(InstantOf(kGrid, OnSaddle), options).Strain(now, AllOk(kGrid));
@@ -144,8 +144,8 @@ TEST(SurfaceStrain, IsThatOfACylinderStretchedAndTwisted) {
 }
 
 TEST(SurfaceStrain, TurnsWithTheXDirectionAsATensor) {
-  const SurfaceInstant reference = InstantOf(kGrid, PlaneDeformedBy(Eigen::Matrix2d::Identity()));
-  SurfaceInstant now = InstantOf(kGrid, PlaneDeformedBy(kStretchAndShear));
+  const SurfaceState reference = InstantOf(kGrid, PlaneDeformedBy(Eigen::Matrix2d::Identity()));
+  SurfaceState now = InstantOf(kGrid, PlaneDeformedBy(kStretchAndShear));
   now.d_right = Image<Eigen::Matrix<float, 3, 2>>(
       kGrid, (Eigen::Matrix<float, 3, 2>() << 0.05F, 0.01F, 0, 0.1F, 0.3F, 0.1F).finished());
   const SurfaceStrain along = GaugesOf(reference).Strain(now, AllOk(kGrid));
@@ -169,7 +169,7 @@ TEST(SurfaceStrain, TurnsWithTheXDirectionAsATensor) {
 }
 
 TEST(SurfaceStrain, DoesNotExtrapolateAtEdgesAndHoles) {
-  SurfaceInstant reference = InstantOf(kGrid, OnCylinder), now = InstantOf(kGrid, OnCylinder);
+  SurfaceState reference = InstantOf(kGrid, OnCylinder), now = InstantOf(kGrid, OnCylinder);
   Image<Status> status = AllOk(kGrid);
   Remove(reference, 10, 5);
   Remove(now, 14, 20);
@@ -197,13 +197,13 @@ TEST(SurfaceStrain, DoesNotExtrapolateAtEdgesAndHoles) {
 }
 
 TEST(SurfaceStrain, OfAFrameWithMissingPointsIsThatOfAReferenceWithoutThem) {
-  SurfaceInstant reference = InstantOf(kGrid, OnSaddle), now = InstantOf(kGrid, OnLoadedSaddle);
+  SurfaceState reference = InstantOf(kGrid, OnSaddle), now = InstantOf(kGrid, OnLoadedSaddle);
   AddMatches(reference, true);
   AddMatches(now, false);
   AddModes(reference);
   AddModes(now);
   Image<Status> status = AllOk(kGrid);
-  SurfaceInstant less = reference;
+  SurfaceState less = reference;
   for (const auto& [r, c] : {std::pair{10, 5}, {3, 18}, {12, 14}, {13, 14}, {12, 15}}) {
     status(r, c) = Status::kLowCorrelation;
     Remove(less, r, c);
@@ -231,8 +231,8 @@ TEST(SurfaceStrain, OfAFrameWithMissingPointsIsThatOfAReferenceWithoutThem) {
 
 TEST(SurfaceStrain, IsTheSameForAnyNumberOfThreads) {
   constexpr ImageSize kLarge{150, 70};
-  SurfaceInstant reference = InstantOf(kLarge, OnCylinder);
-  SurfaceInstant now = InstantOf(
+  SurfaceState reference = InstantOf(kLarge, OnCylinder);
+  SurfaceState now = InstantOf(
       kLarge, [](double s, double t) { return OnCylinder(1.02 * s, t + 0.1 * std::sin(s)); });
   AddMatches(reference, true);
   AddMatches(now, false);
@@ -256,7 +256,7 @@ TEST(SurfaceStrain, IsTheSameForAnyNumberOfThreads) {
 
 TEST(SurfaceStrain, IsNoneWithoutASurfaceAsLargeAsTheGauge) {
   for (const ImageSize size : {ImageSize{1, 1}, ImageSize{5, 5}, ImageSize{40, 2}}) {
-    const SurfaceInstant instant = InstantOf(size, OnCylinder);
+    const SurfaceState instant = InstantOf(size, OnCylinder);
     const SurfaceStrain strain = GaugesOf(instant).Strain(instant, AllOk(size));
     for (const Status status : strain.status.values()) EXPECT_EQ(status, Status::kExtrapolated);
     EXPECT_TRUE(std::isnan(strain.vsg_mm));
@@ -264,7 +264,7 @@ TEST(SurfaceStrain, IsNoneWithoutASurfaceAsLargeAsTheGauge) {
 }
 
 TEST(SurfaceStrain, RefusesWhatItCannotUse) {
-  const SurfaceInstant instant = InstantOf(kGrid, OnCylinder);
+  const SurfaceState instant = InstantOf(kGrid, OnCylinder);
   for (const int points : {1, 4, -3}) {
     SurfaceStrainOptions options;
     options.window_points = points;
@@ -273,12 +273,12 @@ TEST(SurfaceStrain, RefusesWhatItCannotUse) {
   SurfaceStrainOptions options;
   options.x_direction = Eigen::Vector3d::Zero();
   EXPECT_THROW((void)GaugesOf(instant, options), UsageError);
-  SurfaceInstant bad = instant;
+  SurfaceState bad = instant;
   bad.share_left = Image<float>({3, 3});
   EXPECT_THROW((void)GaugesOf(bad), InputError);
   EXPECT_THROW((void)GaugesOf(instant).Strain(bad, AllOk(kGrid)), InputError);
   EXPECT_THROW((void)GaugesOf(instant).Strain(instant, AllOk({3, 3})), InputError);
-  SurfaceInstant three = instant, one = instant;
+  SurfaceState three = instant, one = instant;
   AddModes(three);
   one.along_modes_mm = {three.along_modes_mm[0]};
   EXPECT_THROW((void)GaugesOf(three).Strain(one, AllOk(kGrid)), InputError);

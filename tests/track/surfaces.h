@@ -20,8 +20,8 @@ inline constexpr StrainMeasure kMeasures[] = {StrainMeasure::kGreenLagrange, Str
 // A point in space by its place on the surface (mm along columns and rows, 0 in the middle).
 using Surface = std::function<Eigen::Vector3d(double s_mm, double t_mm)>;
 
-inline SurfaceInstant InstantOf(ImageSize grid, const Surface& at) {
-  SurfaceInstant instant;
+inline SurfaceState InstantOf(ImageSize grid, const Surface& at) {
+  SurfaceState instant;
   instant.point_mm = Image<Eigen::Vector3d>(grid, Eigen::Vector3d::Zero());
   for (int r = 0; r < grid.height; ++r) {
     for (int c = 0; c < grid.width; ++c)
@@ -37,7 +37,7 @@ inline SurfaceInstant InstantOf(ImageSize grid, const Surface& at) {
 
 inline Image<Status> AllOk(ImageSize grid) { return Image<Status>(grid, Status::kOk); }
 
-inline SurfaceGauges GaugesOf(const SurfaceInstant& reference,
+inline SurfaceGauges GaugesOf(const SurfaceState& reference,
                               const SurfaceStrainOptions& options = {}) {
   const ImageSize grid = reference.point_mm.size();
   return {reference,
@@ -48,7 +48,7 @@ inline SurfaceGauges GaugesOf(const SurfaceInstant& reference,
           options};
 }
 
-inline void Remove(SurfaceInstant& instant, int row, int column) {
+inline void Remove(SurfaceState& instant, int row, int column) {
   instant.point_mm(row, column).setConstant(std::numeric_limits<double>::quiet_NaN());
 }
 
@@ -66,7 +66,7 @@ inline Eigen::Vector3d OnLoadedSaddle(double s, double t) {
 
 // A stereo rig's derivatives, roughly, that vary over the grid by some per cent; matches of
 // different sigma and share.
-inline void AddMatches(SurfaceInstant& instant, bool at_reference) {
+inline void AddMatches(SurfaceState& instant, bool at_reference) {
   const ImageSize grid = instant.point_mm.size();
   for (int r = 0; r < grid.height; ++r) {
     for (int c = 0; c < grid.width; ++c) {
@@ -101,7 +101,7 @@ inline std::vector<std::function<Eigen::Vector3d(const Eigen::Vector3d&)>> Modes
           }};
 }
 
-inline void AddModes(SurfaceInstant& instant) {
+inline void AddModes(SurfaceState& instant) {
   for (const auto& mode : Modes()) {
     Image<Eigen::Vector3f> along(instant.point_mm.size(), Eigen::Vector3f::Zero());
     for (std::size_t i = 0; i < along.pixel_count(); ++i)

@@ -1,12 +1,10 @@
-#include "apps/internal/planar_options.h"
+#include "apps/internal/strain_options.h"
 
 #include <fmt/format.h>
 
 #include "calib/error.h"
 
 namespace plumbline::internal {
-
-namespace fs = std::filesystem;
 
 void StrainOptionSet::Declare(OptionTable& options) {
   options.Add({.name = "strain-window",
@@ -25,15 +23,18 @@ void StrainOptionSet::Declare(OptionTable& options) {
                .min = 1,
                .max = 2},
               &options_.order);
-  options.Add({.name = "strain-weights",
-               .help = "weights of the gauge's points",
-               .choices = {"equal", "inverse-variance"}},
-              &weights_);
   options.Add({.name = "strain-min-share",
                .help = "share of the gauge's points that have to be there",
                .min = 0.01,
                .max = 1},
               &options_.min_share);
+}
+
+void StrainOptionSet::DeclareWeights(OptionTable& options) {
+  options.Add({.name = "strain-weights",
+               .help = "weights of the gauge's points",
+               .choices = {"equal", "inverse-variance"}},
+              &weights_);
 }
 
 PlanarStrainOptions StrainOptionSet::Options() const {
@@ -46,17 +47,16 @@ PlanarStrainOptions StrainOptionSet::Options() const {
   return options;
 }
 
-fs::path CheckedOutput(const std::string& output, bool overwrite) {
-  const fs::path path = fs::absolute(output);
-  if (fs::exists(path) && !overwrite) {
-    throw InputError(fmt::format(
-        "'{}' is there already; choose another name with -o, or say --overwrite.", output));
-  }
-  if (!fs::is_directory(path.parent_path())) {
-    throw EnvironmentError(fmt::format("There is no folder '{}' to write into; make it first.",
-                                       path.parent_path().string()));
-  }
-  return path;
+SurfaceStrainOptions StrainOptionSet::OptionsOfSurface() const {
+  const PlanarStrainOptions planar = Options();
+  SurfaceStrainOptions options;
+  options.measure = planar.measure;
+  options.window_points = planar.window_points;
+  options.order = planar.order;
+  options.min_share = planar.min_share;
+  options.min_quarter_share = planar.min_quarter_share;
+  options.Check();
+  return options;
 }
 
 }  // namespace plumbline::internal

@@ -7,6 +7,7 @@
 #include "calib/rigid3.h"
 #include "calib/status.h"
 #include "calib/stereo_rig.h"
+#include "calib/triangulate.h"
 #include "match/stereo_sequence.h"
 
 namespace plumbline {
@@ -20,7 +21,7 @@ namespace plumbline {
 // the point, and of what that of the other image does. A match's covariance there is
 // scale^2 cov_px2, with cov_px2 the point's own (UnitCovariance()), and `share` of it is the
 // reference's.
-struct SurfaceInstant {
+struct SurfaceState {
   Image<Eigen::Vector3d> point_mm;
   // d point / d error of the left and of the right match (mm / px). Zero where a match has no
   // error: on the left of the reference pair, where the point is defined.
@@ -53,7 +54,7 @@ struct EpipolarOptions {
 
 // The points of one pair.
 struct StereoSurface {
-  SurfaceInstant instant;
+  SurfaceState instant;
   // Signed distance of the right pixel from the epipolar line of the left one, px, and its sigma
   // from the noise of the images.
   Image<float> epipolar_px, sigma_epipolar_px;
@@ -62,6 +63,12 @@ struct StereoSurface {
   double mean_epipolar_px = 0, rms_epipolar_px = 0;
   double expected_epipolar_px = 0;  // rms of the sigmas
 };
+
+// The matches of the points in every `stride`-th row and column, with the joint covariance of both
+// pixels. Points without both matches are left out.
+[[nodiscard]] std::vector<StereoObservation> ObservationsOf(const StereoField& field,
+                                                            const Image<Eigen::Vector3f>& cov_px2,
+                                                            int stride);
 
 // Triangulates both pixels of each point and carries the errors of both matches, without those of
 // the calibration (AddModes). cov_px2: UnitCovariance().
@@ -74,6 +81,6 @@ struct StereoSurface {
                                              const EpipolarOptions& options = {});
 
 // The instant told in another frame.
-[[nodiscard]] SurfaceInstant InFrame(const SurfaceInstant& in_rig, const MeasurementFrame& frame);
+[[nodiscard]] SurfaceState InFrame(const SurfaceState& in_rig, const MeasurementFrame& frame);
 
 }  // namespace plumbline

@@ -1,4 +1,4 @@
-#include "track/surface_instant.h"
+#include "track/surface_state.h"
 
 #include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
@@ -21,10 +21,14 @@ constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 constexpr double kNoNumber = std::numeric_limits<double>::quiet_NaN();
 using Matrix32f = Eigen::Matrix<float, 3, 2>;
 
+// F = 1 + gradient of a match.
+Eigen::Matrix2d DeformationOf(const PlanarField& field, std::size_t i) {
+  return Eigen::Matrix2d::Identity() + field.gradient.data()[i].cast<double>();
+}
+
 // The covariance of a match in pixels of the reference image.
 Eigen::Matrix2d PulledBack(const PlanarField& field, std::size_t i) {
-  const Eigen::Matrix2d F = Eigen::Matrix2d::Identity() + field.gradient.data()[i].cast<double>();
-  const Eigen::Matrix2d back = F.inverse();
+  const Eigen::Matrix2d back = DeformationOf(field, i).inverse();
   return back * CovarianceOf(field.cov_displacement_px2.data()[i]) * back.transpose();
 }
 
@@ -87,7 +91,7 @@ class EpipolarTrend {
 
 StereoSurface EmptySurface(ImageSize size) {
   StereoSurface surface;
-  SurfaceInstant& instant = surface.instant;
+  SurfaceState& instant = surface.instant;
   instant.point_mm = Image<Eigen::Vector3d>(size, Eigen::Vector3d::Constant(kNoNumber));
   instant.d_left = instant.d_right = Image<Matrix32f>(size, Matrix32f::Constant(kNone));
   instant.scale_left = instant.scale_right = Image<float>(size, kNone);
@@ -97,10 +101,42 @@ StereoSurface EmptySurface(ImageSize size) {
   return surface;
 }
 
-void TakeBack(SurfaceInstant& instant, std::size_t i) {
+void TakeBack(SurfaceState& instant, std::size_t i) {
   instant.point_mm.data()[i].setConstant(kNoNumber);
   instant.d_left.data()[i].setConstant(kNone);
   instant.d_right.data()[i].setConstant(kNone);
+}
+
+// Both matches of a point told in the terms of SurfaceState.
+struct MatchedPoint {
+  float scale_left, scale_right, share_left, share_right;
+  StereoObservation seen;
+};
+
+MatchedPoint MatchedAt(const StereoField& field, const Eigen::Vector3f& unit, std::size_t i) {
+  MatchedPoint out;
+  const PlanarField &left = field.left, &right = field.right;
+  out.scale_left = ScaleOf(PulledBack(left, i), unit);
+  out.scale_right = ScaleOf(PulledBack(right, i), unit);
+  out.share_left = left.reference_share.data()[i];
+  out.share_right = right.reference_share.data()[i];
+  const double common =
+      std::sqrt(static_cast<double>(out.share_left) * static_cast<double>(out.share_right)) *
+      static_cast<double>(out.scale_left) * static_cast<double>(out.scale_right);
+  const Eigen::Matrix2d across =
+      DeformationOf(left, i) * (common * CovarianceOf(unit)) * DeformationOf(right, i).transpose();
+  const auto columns = static_cast<std::size_t>(left.size().width);
+  const Eigen::Vector2d pixel =
+      left.PixelOf(static_cast<int>(i / columns), static_cast<int>(i % columns));
+  out.seen.left = pixel + left.displacement_px.data()[i];
+  out.seen.right = pixel + right.displacement_px.data()[i];
+  out.seen.cov_px2 << CovarianceOf(left.cov_displacement_px2.data()[i]), across, across.transpose(),
+      CovarianceOf(right.cov_displacement_px2.data()[i]);
+  return out;
+}
+
+bool BothMatched(const StereoField& field, const Image<Eigen::Vector3f>& cov_px2, std::size_t i) {
+  return Usable(field.left, i) && Usable(field.right, i) && cov_px2.data()[i].allFinite();
 }
 
 // The points that a list of observations was made of.
@@ -109,42 +145,25 @@ struct Observed {
   std::vector<StereoObservation> observations;
 };
 
-Observed ObservationsOf(const StereoField& field, const Image<Eigen::Vector3f>& cov_px2,
-                        StereoSurface& surface) {
+Observed Observe(const StereoField& field, const Image<Eigen::Vector3f>& cov_px2,
+                 StereoSurface& surface) {
   Observed observed;
-  SurfaceInstant& instant = surface.instant;
-  const auto columns = static_cast<std::size_t>(field.left.size().width);
+  SurfaceState& instant = surface.instant;
   for (std::size_t i = 0; i < surface.status.pixel_count(); ++i) {
     const Status left = field.left.status.data()[i], right = field.right.status.data()[i];
     surface.status.data()[i] = left != Status::kOk ? left : right;
     if (surface.status.data()[i] != Status::kOk) continue;
-    if (!Usable(field.left, i) || !Usable(field.right, i) || !cov_px2.data()[i].allFinite()) {
+    if (!BothMatched(field, cov_px2, i)) {
       surface.status.data()[i] = Status::kFailedVerification;
       continue;
     }
-    instant.scale_left.data()[i] = ScaleOf(PulledBack(field.left, i), cov_px2.data()[i]);
-    instant.scale_right.data()[i] = ScaleOf(PulledBack(field.right, i), cov_px2.data()[i]);
-    instant.share_left.data()[i] = field.left.reference_share.data()[i];
-    instant.share_right.data()[i] = field.right.reference_share.data()[i];
-    const Eigen::Matrix2d F_left =
-        Eigen::Matrix2d::Identity() + field.left.gradient.data()[i].cast<double>();
-    const Eigen::Matrix2d F_right =
-        Eigen::Matrix2d::Identity() + field.right.gradient.data()[i].cast<double>();
-    const double common = std::sqrt(static_cast<double>(instant.share_left.data()[i]) *
-                                    static_cast<double>(instant.share_right.data()[i])) *
-                          static_cast<double>(instant.scale_left.data()[i]) *
-                          static_cast<double>(instant.scale_right.data()[i]);
-    StereoObservation seen;
-    const Eigen::Vector2d pixel =
-        field.left.PixelOf(static_cast<int>(i / columns), static_cast<int>(i % columns));
-    seen.left = pixel + field.left.displacement_px.data()[i];
-    seen.right = pixel + field.right.displacement_px.data()[i];
-    const Eigen::Matrix2d across =
-        F_left * (common * CovarianceOf(cov_px2.data()[i])) * F_right.transpose();
-    seen.cov_px2 << CovarianceOf(field.left.cov_displacement_px2.data()[i]), across,
-        across.transpose(), CovarianceOf(field.right.cov_displacement_px2.data()[i]);
+    const MatchedPoint point = MatchedAt(field, cov_px2.data()[i], i);
+    instant.scale_left.data()[i] = point.scale_left;
+    instant.scale_right.data()[i] = point.scale_right;
+    instant.share_left.data()[i] = point.share_left;
+    instant.share_right.data()[i] = point.share_right;
     observed.places.push_back(i);
-    observed.observations.push_back(seen);
+    observed.observations.push_back(point.seen);
   }
   return observed;
 }
@@ -192,6 +211,21 @@ Image<Eigen::Vector3f> UnitCovariance(const StereoField& reference, const Stereo
   return unit;
 }
 
+std::vector<StereoObservation> ObservationsOf(const StereoField& field,
+                                              const Image<Eigen::Vector3f>& cov_px2, int stride) {
+  std::vector<StereoObservation> observations;
+  const ImageSize size = field.left.size();
+  for (int r = 0; r < size.height; r += stride) {
+    for (int c = 0; c < size.width; c += stride) {
+      const std::size_t i = static_cast<std::size_t>(r) * static_cast<std::size_t>(size.width) +
+                            static_cast<std::size_t>(c);
+      if (!BothMatched(field, cov_px2, i)) continue;
+      observations.push_back(MatchedAt(field, cov_px2.data()[i], i).seen);
+    }
+  }
+  return observations;
+}
+
 StereoSurface TriangulateField(const StereoRig& rig, const StereoField& field,
                                const Image<Eigen::Vector3f>& cov_px2,
                                const EpipolarOptions& options) {
@@ -200,9 +234,9 @@ StereoSurface TriangulateField(const StereoRig& rig, const StereoField& field,
     throw InputError("The matches of a pair have their points on grids of different size.");
   }
   StereoSurface surface = EmptySurface(size);
-  const Observed observed = ObservationsOf(field, cov_px2, surface);
+  const Observed observed = Observe(field, cov_px2, surface);
   const std::vector<TriangulatedPoint> points = Triangulate(rig, observed.observations);
-  SurfaceInstant& instant = surface.instant;
+  SurfaceState& instant = surface.instant;
   tbb::parallel_for(tbb::blocked_range<std::size_t>(0, points.size(), 1024),
                     [&](const tbb::blocked_range<std::size_t>& range) {
                       for (std::size_t n = range.begin(); n != range.end(); ++n) {
@@ -227,8 +261,8 @@ StereoSurface TriangulateField(const StereoRig& rig, const StereoField& field,
   return surface;
 }
 
-SurfaceInstant InFrame(const SurfaceInstant& in_rig, const MeasurementFrame& frame) {
-  SurfaceInstant told = in_rig;
+SurfaceState InFrame(const SurfaceState& in_rig, const MeasurementFrame& frame) {
+  SurfaceState told = in_rig;
   const Rigid3& from_rig = frame.frame_from_rig;
   const Eigen::Matrix3f turn = from_rig.rotation.cast<float>();
   const std::size_t modes = in_rig.along_modes_mm.size();

@@ -1,0 +1,28 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "apps/internal/option_table.h"
+#include "match/correlate_field.h"
+
+namespace plumbline::internal {
+
+// The options of subsets and their correlation, the same wherever images are correlated.
+class FieldOptionSet {
+ public:
+  void Declare(OptionTable& options);
+
+  // With the grid's step left to the caller. Throws UsageError.
+  FieldOptions Options(std::uint64_t seed) const;
+
+  const std::string& noise() const { return noise_; }  // the noise file; empty: none
+
+ private:
+  CorrelatorOptions correlator_;
+  std::string shape_ = "square", interpolation_ = "quintic", prefilter_ = "low-pass", noise_;
+  bool no_verify_ = false, keep_still_parts_ = false;
+};
+
+}  // namespace plumbline::internal

@@ -1,0 +1,64 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <span>
+#include <vector>
+
+#include "apps/surface_evaluation.h"
+#include "calib/relative_pose.h"
+#include "calib/stereo_rig.h"
+#include "calib/triangulate.h"
+#include "io/series_frame.h"
+
+namespace plumbline::internal {
+
+// Watches, from the matches of each pair, whether the right camera has moved against the left one:
+// since the calibration, counting what that is unsure of; and since the reference pair, where all
+// that calibration and lenses get wrong cancels.
+//
+// A pose is refined, where it is, by the motion since the reference pair; that pair itself keeps
+// the calibrated pose unless it contradicts it.
+class RigWatch {
+ public:
+  struct Options {
+    PoseRefinement refinement = PoseRefinement::kOff;
+    // The camera has moved where the chi-squared (5 degrees of freedom) of its motion is above
+    // alarm_chi2, and where it takes the points from their epipolar lines by more than
+    // alarm_epipolar_px (rms): what lenses get wrong is no motion.
+    double alarm_chi2 = 40;
+    double alarm_epipolar_px = 0.015;
+  };
+
+  // What a pair shows, and the rig to measure it with.
+  struct Verdict {
+    RigWatchRecord record;
+    StereoRig rig;
+    // Poses one standard deviation away from the one used, along the independent directions that
+    // refined poses may be wrong in: kPoseModes, in the same order in all pairs, or none where no
+    // pose was refined. The first half are errors of the reference pair's pose, which all pairs
+    // share; the second those of this pair's own.
+    std::vector<Rigid3> right_from_left_moved;
+  };
+
+  RigWatch(const StereoRig& rig, const Options& options)
+      : rig_(rig), options_(options), base_(rig) {}
+
+  // observations: far enough apart to be independent (RefineRelativePose).
+  Verdict Reference(std::span<const StereoObservation> observations);
+  Verdict Later(std::span<const StereoObservation> observations) const;
+
+  static constexpr int kPoseModes = 10;
+
+ private:
+  bool Moved(double chi2, double by_px) const;
+  Rigid3 WithBaseline(Rigid3 pose) const;
+
+  StereoRig rig_;
+  Options options_;
+  std::optional<RelativePose> first_;
+  StereoRig base_;                                        // of the reference pair
+  std::vector<Eigen::Matrix<double, 6, 1>> base_errors_;  // that its pose may have; empty: none
+};
+
+}  // namespace plumbline::internal

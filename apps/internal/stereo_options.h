@@ -1,0 +1,60 @@
+#pragma once
+
+#include <cstdint>
+#include <optional>
+#include <string>
+
+#include "apps/internal/field_options.h"
+#include "apps/internal/option_table.h"
+#include "apps/internal/strain_options.h"
+#include "apps/stereo_run.h"
+#include "apps/surface_evaluation.h"
+
+namespace plumbline::internal {
+
+// What can be worked out again of matches that are there: the options that `measure --matcher dic`
+// and `analyse` of a stereo run have in common.
+class EvaluationOptionSet {
+ public:
+  void Declare(OptionTable& options);
+  SurfaceEvaluationOptions Options(std::uint64_t seed) const;  // throws UsageError
+
+  // The options of the plane, and whether positions are told in its frame, are declared apart:
+  // measure has them for all matchers.
+  void DeclareGround(OptionTable& options);
+  const GroundPlaneOptions& ground() const { return ground_; }
+  bool in_ground_frame() const { return frame_ == "ground"; }
+  bool point_covariance() const { return point_covariance_; }
+
+ private:
+  GroundPlaneOptions ground_;
+  std::string frame_ = "ground";
+  bool point_covariance_ = false;
+  EpipolarOptions epipolar_;
+  StrainOptionSet strain_{9};
+  bool no_strain_ = false, remove_rigid_motion_ = false;
+  std::string strain_axes_ = "material", refine_pose_ = "off";
+};
+
+// The matching of stereo-DIC.
+class StereoOptionSet {
+ public:
+  void Declare(OptionTable& options);
+
+  // `bits`: of the images, for the noise. Region and mask are left to the caller. Throws
+  // UsageError; InputError where the noise file cannot be read.
+  StereoRunOptions Options(std::uint64_t seed, int bits, int step_px,
+                           const SurfaceEvaluationOptions& evaluation) const;
+
+  int block_frames() const { return block_frames_; }
+  const std::string& noise() const { return matching_.noise(); }
+
+ private:
+  FieldOptionSet matching_;
+  std::string strategy_ = "reference";
+  StereoSequenceOptions sequence_;
+  bool no_curvature_ = false, no_matches_ = false;
+  int block_frames_ = 32;
+};
+
+}  // namespace plumbline::internal

@@ -1,0 +1,33 @@
+#pragma once
+
+#include <optional>
+
+#include "fit/ground_plane.h"
+#include "io/series_frame.h"
+#include "match/stereo_sequence.h"
+#include "track/surface_motion.h"
+#include "track/surface_state.h"
+#include "track/surface_strain.h"
+
+// What a series holds, from what was measured.
+namespace plumbline::internal {
+
+// `instant`: the surface's, in the frame of the positions; cov_mm2: its random covariance. plane:
+// of the reference pair, where positions are in its frame: heights have its random error as well.
+Surface SurfaceRecordOf(const StereoSurface& surface, const SurfaceState& instant,
+                        const Image<Eigen::Matrix<float, 6, 1>>& cov_mm2, const StereoField& field,
+                        const std::optional<GroundPlane>& plane, bool with_covariance);
+MatchField MatchRecordOf(const StereoField& field);
+DisplacementField DisplacementRecordOf(const SurfaceMotion& motion);
+VelocityField VelocityRecordOf(const SurfaceMotion& motion, double seconds);
+RigidMotionRecord RigidRecordOf(const SurfaceRigidMotion& rigid);
+StrainField StrainRecordOf(SurfaceStrain strain);
+
+// The reference pair, which has not moved by definition: zero, without error, at its valid points.
+DisplacementField AtRest(const Image<Status>& status);
+void ForgetNoise(StrainField& strain);
+
+// The matches again; the grid as of `like`, whose other images are not looked at.
+StereoField FieldOf(const MatchField& record, const Image<Status>& status, const PlanarField& like);
+
+}  // namespace plumbline::internal

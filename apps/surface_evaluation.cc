@@ -1,0 +1,449 @@
+#include "apps/surface_evaluation.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+#include <limits>
+#include <span>
+#include <utility>
+#include <vector>
+
+#include "apps/internal/ground_record.h"
+#include "apps/internal/rig_watch.h"
+#include "apps/internal/surface_points.h"
+#include "apps/internal/surface_records.h"
+#include "calib/error.h"
+#include "calib/median.h"
+#include "calib/mode_triangulation.h"
+#include "calib/triangulate.h"
+#include "track/surface_motion.h"
+
+namespace plumbline {
+namespace {
+
+constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+
+// "x,y,z".
+Eigen::Vector3d ParseDirection(const std::string& text) {
+  Eigen::Vector3d direction;
+  const char* at = text.data();
+  const char* const end = at + text.size();
+  for (int i = 0; i < 3; ++i) {
+    const auto [next, error] = std::from_chars(at, end, direction[i]);
+    const bool parted = i == 2 ? next == end : next != end && *next == ',';
+    if (error != std::errc() || !parted) {
+      throw UsageError(fmt::format(
+          "The axes of strain are material, ground or a direction x,y,z in the frame of the "
+          "positions, not '{}'.",
+          text));
+    }
+    at = next + 1;
+  }
+  if (!(direction.norm() > 1e-9)) {
+    throw UsageError("The direction of the strain's x axis has no length.");
+  }
+  return direction.normalized();
+}
+
+// Points far enough apart that a plane does not gain by more of them.
+struct PlanePoints {
+  std::vector<std::size_t> places;
+  std::vector<Eigen::Vector3d> point_mm;
+  std::vector<Eigen::Matrix3d> cov_mm2;
+};
+
+PlanePoints PointsForPlane(const SurfaceState& in_rig, const Image<Eigen::Vector3f>& unit,
+                           int stride) {
+  PlanePoints points;
+  const auto cov = CovarianceOf(in_rig, unit);
+  for (int r = 0; r < in_rig.size().height; r += stride) {
+    for (int c = 0; c < in_rig.size().width; c += stride) {
+      if (!in_rig.point_mm(r, c).allFinite()) continue;
+      points.places.push_back(static_cast<std::size_t>(r) *
+                                  static_cast<std::size_t>(in_rig.size().width) +
+                              static_cast<std::size_t>(c));
+      points.point_mm.push_back(in_rig.point_mm(r, c));
+      points.cov_mm2.push_back(CovarianceOf(cov(r, c)));
+    }
+  }
+  return points;
+}
+
+// How many points of a lattice of this stride share one noise: the sum of the correlations of one
+// point with all others, the mean over the field.
+double CorrelationArea(const NeighbourCorrelation& neighbours, ImageSize grid, int stride) {
+  constexpr int kSamples = 12;  // along each axis
+  double sum = 0;
+  int count = 0;
+  const int reach = neighbours.reach() / stride * stride;
+  for (int r = 0; r < grid.height; r += std::max(1, grid.height / kSamples)) {
+    for (int c = 0; c < grid.width; c += std::max(1, grid.width / kSamples)) {
+      for (int dr = -reach; dr <= reach; dr += stride) {
+        for (int dc = -reach; dc <= reach; dc += stride) {
+          sum += static_cast<double>(neighbours.Between(r, c, dr, dc).trace()) / 2;
+        }
+      }
+      ++count;
+    }
+  }
+  return std::max(1.0, sum / std::max(1, count));
+}
+
+double MedianOrNone(std::vector<double> values) {
+  std::erase_if(values, [](double v) { return !std::isfinite(v); });
+  return values.empty() ? kNone : Median(std::move(values));
+}
+
+// Of the components of those vectors that are whole.
+Eigen::Vector3d Medians(const Image<Eigen::Vector3f>& vectors) {
+  Eigen::Vector3d medians;
+  for (int k = 0; k < 3; ++k) {
+    std::vector<double> values;
+    for (const Eigen::Vector3f& v : vectors.values()) {
+      values.push_back(static_cast<double>(v[k]));
+    }
+    medians[k] = MedianOrNone(std::move(values));
+  }
+  return medians;
+}
+
+}  // namespace
+
+void SurfaceEvaluationOptions::Check() const {
+  ground.Check();
+  strain_options.Check();
+  if (strain_axes != "material" && strain_axes != "ground") ParseDirection(strain_axes);
+  if (!(epipolar.tolerance_px >= 0 && epipolar.sigmas > 0)) {
+    throw UsageError("The tolerance of the epipolar distance must not be negative.");
+  }
+}
+
+struct SurfaceEvaluation::Impl {
+  Impl(const StereoRig& r, StereoField field, NeighbourCorrelation n,
+       const SurfaceEvaluationOptions& o);
+
+  struct Previous {
+    SurfaceState instant;  // in the frame
+    Image<Eigen::Vector3f> unit;
+    double time_s;
+  };
+
+  void AddModes(const StereoField& field, const internal::RigWatch::Verdict& verdict,
+                StereoSurface& surface) const;
+  StereoSurface SurfaceOf(const internal::RigWatch::Verdict& verdict, const StereoField& field,
+                          const Image<Eigen::Vector3f>& unit) const;
+  std::optional<GroundPlane> PlaneOf(const SurfaceState& in_rig, const Image<Eigen::Vector3f>& unit,
+                                     GroundRecord& record,
+                                     std::vector<GroundPlane>* along_modes) const;
+  void ChooseFrame(const SurfaceState& in_rig);
+  std::size_t PoseModes() const {
+    return options.refinement == PoseRefinement::kOff ? 0 : internal::RigWatch::kPoseModes;
+  }
+  SeriesFrame FrameOf(const StereoField& field, const StereoSurface& surface,
+                      const SurfaceState& instant, const Image<Eigen::Vector3f>& unit) const;
+
+  StereoRig rig;
+  StereoField reference;
+  NeighbourCorrelation neighbours;
+  SurfaceEvaluationOptions options;
+  ModeTriangulation modes;
+  internal::RigWatch watch;
+  int watch_stride = 1, plane_stride = 1;
+  double correlation_area = 1;
+
+  Image<Eigen::Vector3f> unit;  // of the reference
+  StereoSurface reference_surface;
+  MeasurementFrame frame;
+  std::optional<GroundPlane> plane;  // of the reference pair
+  GroundRecord ground;
+  RigWatchRecord reference_watch;
+  SurfaceState at_reference;  // in the frame
+  std::optional<SurfaceGauges> gauges;
+  std::optional<Previous> previous;
+};
+
+SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCorrelation n,
+                              const SurfaceEvaluationOptions& o)
+    : rig(r),
+      reference(std::move(field)),
+      neighbours(std::move(n)),
+      options(o),
+      modes(r),
+      watch(r, {.refinement = o.refinement}) {
+  const ImageSize grid = reference.left.size();
+  watch_stride =
+      std::max(1, (reference.left.subset_px + reference.left.step_px - 1) / reference.left.step_px);
+  plane_stride = std::max(1, reference.left.subset_px / (2 * reference.left.step_px));
+  correlation_area = CorrelationArea(neighbours, grid, 1);
+  options.ground.correlation_area_points = CorrelationArea(neighbours, grid, plane_stride);
+  unit = UnitCovariance(reference, reference);
+  const internal::RigWatch::Verdict verdict =
+      watch.Reference(ObservationsOf(reference, unit, watch_stride));
+  reference_watch = verdict.record;
+  reference_surface = SurfaceOf(verdict, reference, unit);
+  if (std::none_of(reference_surface.status.values().begin(),
+                   reference_surface.status.values().end(),
+                   [](Status status) { return status == Status::kOk; })) {
+    throw InputError(
+        "No point of the reference pair could be matched between left and right and triangulated: "
+        "are the cameras swapped, or is the rig file that of other cameras?");
+  }
+  ChooseFrame(reference_surface.instant);
+  at_reference = InFrame(reference_surface.instant, frame);
+  if (options.strain_axes == "ground") {
+    options.strain_options.x_direction = Eigen::Vector3d::UnitX();
+  } else if (options.strain_axes != "material") {
+    options.strain_options.x_direction = ParseDirection(options.strain_axes);
+  }
+  if (options.strain) {
+    gauges.emplace(at_reference, unit, neighbours, reference.left.step_px, reference.left.subset_px,
+                   options.strain_options);
+  }
+}
+
+// What the calibration's modes do to the points, and what the directions do in which a refined pose
+// may be wrong.
+void SurfaceEvaluation::Impl::AddModes(const StereoField& field,
+                                       const internal::RigWatch::Verdict& verdict,
+                                       StereoSurface& surface) const {
+  if (modes.count() == 0) return;
+  const auto count = static_cast<std::size_t>(modes.count());
+  const ImageSize size = surface.status.size();
+  std::vector<std::size_t> places;
+  std::vector<Eigen::Vector2d> left, right;
+  const auto columns = static_cast<std::size_t>(size.width);
+  for (std::size_t i = 0; i < surface.status.pixel_count(); ++i) {
+    if (surface.status.data()[i] != Status::kOk) continue;
+    const Eigen::Vector2d pixel =
+        field.left.PixelOf(static_cast<int>(i / columns), static_cast<int>(i % columns));
+    places.push_back(i);
+    left.push_back(pixel + field.left.displacement_px.data()[i]);
+    right.push_back(pixel + field.right.displacement_px.data()[i]);
+  }
+  std::vector<Eigen::Vector3f> along(places.size() * count);
+  modes.Differences(left, right, along);
+  const Eigen::Vector3f none = Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN());
+  std::vector<Image<Eigen::Vector3f>>& images = surface.instant.along_modes_mm;
+  images.assign(count + PoseModes(), Image<Eigen::Vector3f>(size, none));
+  for (std::size_t n = 0; n < places.size(); ++n) {
+    for (std::size_t k = 0; k < count; ++k) images[k].data()[places[n]] = along[n * count + k];
+    for (std::size_t k = count; k < images.size(); ++k) images[k].data()[places[n]].setZero();
+  }
+  for (std::size_t k = 0; k < verdict.right_from_left_moved.size(); ++k) {
+    StereoRig moved = verdict.rig;
+    moved.right_from_left = verdict.right_from_left_moved[k];
+    const std::vector<Eigen::Vector3d> points = TriangulatePoints(moved, left, right);
+    for (std::size_t n = 0; n < places.size(); ++n) {
+      images[count + k].data()[places[n]] =
+          (points[n] - surface.instant.point_mm.data()[places[n]]).cast<float>();
+    }
+  }
+}
+
+StereoSurface SurfaceEvaluation::Impl::SurfaceOf(const internal::RigWatch::Verdict& verdict,
+                                                 const StereoField& field,
+                                                 const Image<Eigen::Vector3f>& of_match) const {
+  StereoSurface surface = TriangulateField(verdict.rig, field, of_match, options.epipolar);
+  AddModes(field, verdict, surface);
+  return surface;
+}
+
+// The plane of the points, in the rig frame, and its record with both covariances.
+std::optional<GroundPlane> SurfaceEvaluation::Impl::PlaneOf(
+    const SurfaceState& in_rig, const Image<Eigen::Vector3f>& of_match, GroundRecord& record,
+    std::vector<GroundPlane>* along_modes) const {
+  const PlanePoints points = PointsForPlane(in_rig, of_match, plane_stride);
+  std::optional<GroundPlane> found;
+  try {
+    found = FitGroundPlane(points.point_mm, points.cov_mm2, options.ground);
+  } catch (const InputError& error) {
+    record.problem = error.what();
+    return found;
+  }
+  record = internal::GroundRecordOf(
+      *found, GroundFromRig(*found, Eigen::Vector3d::Zero(), found->centroid));
+  if (in_rig.along_modes_mm.empty()) return found;
+  record.cov_calibration.setZero();
+  for (const Image<Eigen::Vector3f>& mode : in_rig.along_modes_mm) {
+    std::vector<Eigen::Vector3d> moved(points.places.size());
+    for (std::size_t n = 0; n < moved.size(); ++n) {
+      moved[n] = points.point_mm[n] + mode.data()[points.places[n]].cast<double>();
+    }
+    const GroundPlane there =
+        RefitPlane(moved, points.cov_mm2, found->inlier, options.ground.correlation_area_points);
+    const Eigen::Vector3d difference = PlaneDifference(*found, there);
+    record.cov_calibration += difference * difference.transpose();
+    if (along_modes != nullptr) along_modes->push_back(there);
+  }
+  return found;
+}
+
+// The frame of positions: what the reference pair shows, and where it goes along the modes. In the
+// rig frame the rigid motion that a mode gives to all points at once is taken out, as it says
+// nothing about the surface.
+void SurfaceEvaluation::Impl::ChooseFrame(const SurfaceState& in_rig) {
+  std::vector<GroundPlane> along_modes;
+  plane = PlaneOf(in_rig, unit, ground, &along_modes);
+  if (plane && options.turn_into_ground_frame) {
+    frame.frame_from_rig = ground.ground_from_rig;
+    for (const GroundPlane& there : along_modes) {
+      frame.along_modes.push_back(GroundFromRig(there, Eigen::Vector3d::Zero(), there.centroid));
+    }
+    return;
+  }
+  plane.reset();
+  std::vector<std::size_t> places;
+  std::vector<Eigen::Vector3d> points;
+  for (std::size_t i = 0; i < in_rig.point_mm.pixel_count(); ++i) {
+    if (!in_rig.point_mm.data()[i].allFinite()) continue;
+    places.push_back(i);
+    points.push_back(in_rig.point_mm.data()[i]);
+  }
+  for (const Image<Eigen::Vector3f>& mode : in_rig.along_modes_mm) {
+    std::vector<Eigen::Vector3d> moved(points);
+    for (std::size_t n = 0; n < moved.size(); ++n) {
+      moved[n] += mode.data()[places[n]].cast<double>();
+    }
+    frame.along_modes.push_back(internal::BestRigidMotion(moved, points));
+  }
+}
+
+// Positions and matches: what does not need another instant.
+SeriesFrame SurfaceEvaluation::Impl::FrameOf(const StereoField& field, const StereoSurface& surface,
+                                             const SurfaceState& instant,
+                                             const Image<Eigen::Vector3f>& of_match) const {
+  SeriesFrame out;
+  out.surface = internal::SurfaceRecordOf(surface, instant, CovarianceOf(instant, of_match), field,
+                                          plane, options.point_covariance);
+  if (options.matches) out.match = internal::MatchRecordOf(field);
+  return out;
+}
+
+SurfaceEvaluation::SurfaceEvaluation(const StereoRig& rig, StereoField reference,
+                                     NeighbourCorrelation neighbours,
+                                     const SurfaceEvaluationOptions& options) {
+  options.Check();
+  impl_ = std::make_unique<Impl>(rig, std::move(reference), std::move(neighbours), options);
+}
+
+SurfaceEvaluation::~SurfaceEvaluation() = default;
+
+SeriesHeader SurfaceEvaluation::Header() const {
+  const Impl& impl = *impl_;
+  SeriesHeader header{
+      .rig = impl.rig, .grid_px = {}, .recipe_toml = {}, .inputs = {}, .rig_extras = {}};
+  header.step_px = impl.reference.left.step_px;
+  header.subset_px = impl.reference.left.subset_px;
+  header.grid_points = "material";
+  header.contents.covariance = impl.options.point_covariance;
+  header.contents.displacement = header.contents.velocity = header.contents.rigid_motion = true;
+  header.contents.rig_watch = true;
+  header.contents.matches = impl.options.matches;
+  header.contents.strain = impl.options.strain;
+  header.rigid_motion_removed = impl.options.remove_rigid_motion;
+  const ImageSize size = impl.reference.left.size();
+  header.grid_px = Image<Eigen::Vector2f>(size, Eigen::Vector2f::Zero());
+  for (int r = 0; r < size.height; ++r) {
+    for (int c = 0; c < size.width; ++c) {
+      header.grid_px(r, c) = impl.reference.left.PixelOf(r, c).cast<float>();
+    }
+  }
+  if (!impl.gauges) return header;
+  const SurfaceStrain at_rest =
+      impl.gauges->Strain(impl.at_reference, impl.reference_surface.status);
+  header.strain_measure = Name(at_rest.measure);
+  header.strain_axes = impl.options.strain_axes;
+  header.vsg_px = at_rest.vsg_px;
+  header.vsg_mm = at_rest.vsg_mm;
+  return header;
+}
+
+SeriesFrame SurfaceEvaluation::EvaluateReference(double time_s) {
+  Impl& impl = *impl_;
+  SeriesFrame out =
+      impl.FrameOf(impl.reference, impl.reference_surface, impl.at_reference, impl.unit);
+  out.ground = impl.ground;
+  out.rig_watch = impl.reference_watch;
+  out.displacement = internal::AtRest(impl.reference_surface.status);
+  if (impl.gauges) {
+    out.strain = internal::StrainRecordOf(
+        impl.gauges->Strain(impl.at_reference, impl.reference_surface.status));
+    internal::ForgetNoise(out.strain);
+  }
+  out.rigid_motion.found = true;
+  for (Eigen::Vector3d* const zero :
+       {&out.rigid_motion.rotation_rad, &out.rigid_motion.translation_mm,
+        &out.rigid_motion.sigma_random_rotation_rad,
+        &out.rigid_motion.sigma_calibration_rotation_rad,
+        &out.rigid_motion.sigma_random_translation_mm,
+        &out.rigid_motion.sigma_calibration_translation_mm}) {
+    zero->setZero();
+  }
+  impl.previous = {impl.at_reference, impl.unit, time_s};
+  return out;
+}
+
+SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s) {
+  Impl& impl = *impl_;
+  const Image<Eigen::Vector3f> unit = UnitCovariance(impl.reference, field);
+  const internal::RigWatch::Verdict verdict =
+      impl.watch.Later(ObservationsOf(field, unit, impl.watch_stride));
+  const StereoSurface surface = impl.SurfaceOf(verdict, field, unit);
+  const SurfaceState instant = InFrame(surface.instant, impl.frame);
+  SeriesFrame out = impl.FrameOf(field, surface, instant, unit);
+  if (std::none_of(surface.status.values().begin(), surface.status.values().end(),
+                   [](Status status) { return status == Status::kOk; })) {
+    out = SeriesFrame();
+    out.problem = "no point of the reference was found again in both images";
+    Restart();
+    return out;
+  }
+  out.rig_watch = verdict.record;
+  impl.PlaneOf(surface.instant, unit, out.ground, nullptr);
+  if (out.ground.found) out.ground.ground_from_rig = impl.frame.frame_from_rig;
+  const SurfaceMotion motion = MotionBetween(impl.at_reference, instant, impl.unit);
+  const SurfaceRigidMotion rigid =
+      RigidMotionBetween(impl.at_reference, instant, motion, impl.correlation_area);
+  out.rigid_motion = internal::RigidRecordOf(rigid);
+  out.displacement = internal::DisplacementRecordOf(
+      impl.options.remove_rigid_motion && rigid.found
+          ? WithoutRigidMotion(impl.at_reference, instant, motion, rigid)
+          : motion);
+  if (impl.previous && time_s > impl.previous->time_s) {
+    out.velocity = internal::VelocityRecordOf(
+        MotionBetween(impl.previous->instant, instant, impl.previous->unit),
+        time_s - impl.previous->time_s);
+  }
+  if (impl.gauges) {
+    out.strain = internal::StrainRecordOf(impl.gauges->Strain(instant, surface.status));
+  }
+  impl.previous = {instant, unit, time_s};
+  return out;
+}
+
+void SurfaceEvaluation::Restart() { impl_->previous.reset(); }
+
+SurfaceSummary SurfaceEvaluation::Summarise(const SeriesFrame& frame) const {
+  SurfaceSummary summary;
+  const auto count = [](const Image<Status>& statuses, auto&& wanted) {
+    return static_cast<std::int64_t>(
+        std::count_if(statuses.values().begin(), statuses.values().end(), wanted));
+  };
+  const auto is_ok = [](Status status) { return status == Status::kOk; };
+  summary.grid_points = count(impl_->reference_surface.status,
+                              [](Status status) { return status != Status::kMasked; });
+  summary.valid_points = count(frame.surface.status, is_ok);
+  summary.strain_points = count(frame.strain.status, is_ok);
+  summary.plane_distance_mm = frame.ground.found ? frame.ground.centroid_in_rig_mm.z() : kNone;
+  summary.displacement_mm = Medians(frame.displacement.value_mm);
+  summary.sigma_random_displacement_mm = Medians(frame.displacement.sigma_random_mm);
+  summary.sigma_calibration_displacement_mm = Medians(frame.displacement.sigma_calibration_mm);
+  summary.strain = Medians(frame.strain.value);
+  summary.sigma_random_strain = Medians(frame.strain.sigma_random);
+  summary.sigma_calibration_strain = Medians(frame.strain.sigma_calibration);
+  return summary;
+}
+
+}  // namespace plumbline

@@ -1,0 +1,92 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <memory>
+#include <optional>
+#include <string>
+
+#include "calib/stereo_rig.h"
+#include "fit/ground_plane.h"
+#include "io/series_writer.h"
+#include "match/neighbour_correlation.h"
+#include "match/stereo_sequence.h"
+#include "track/surface_state.h"
+#include "track/surface_strain.h"
+
+namespace plumbline {
+
+// When the pose of the right camera is refined from the matches of each frame.
+enum class PoseRefinement : std::uint8_t {
+  kOff = 0,          // never; an alarm is given all the same
+  kWhenSignificant,  // in frames where the camera has moved beyond doubt
+  kAlways,
+};
+
+struct SurfaceEvaluationOptions {
+  EpipolarOptions epipolar;
+  GroundPlaneOptions ground;  // correlation_area_points is taken from the matches
+  // Positions and displacements are told in the ground frame of the reference pair, where a plane
+  // is found in it; else, or with false, in the rig frame.
+  bool turn_into_ground_frame = true;
+  bool strain = true;
+  // x_direction is set from strain_axes.
+  SurfaceStrainOptions strain_options;
+  // The local x axis of strains: "material" (growing columns of the grid), "ground" (x of the frame
+  // that positions are told in) or a direction "x,y,z" in that frame.
+  std::string strain_axes = "material";
+  bool remove_rigid_motion = false;
+  bool point_covariance = false;
+  bool matches = true;  // also deliver the matches, so that all can be evaluated again
+  PoseRefinement refinement = PoseRefinement::kOff;
+
+  // Throws UsageError naming the broken constraint.
+  void Check() const;
+};
+
+// Numbers that sum one frame up, for people: medians over the valid points; NaN without any. Sigmas
+// are one standard deviation.
+struct SurfaceSummary {
+  std::int64_t grid_points = 0;  // that the region and the mask let through
+  std::int64_t valid_points = 0;
+  std::int64_t strain_points = 0;
+  double plane_distance_mm = 0;  // mean z of the plane's points in the rig frame
+  Eigen::Vector3d displacement_mm, sigma_random_displacement_mm, sigma_calibration_displacement_mm;
+  Eigen::Vector3d strain, sigma_random_strain, sigma_calibration_strain;
+};
+
+// From where points are seen to what is published of them: positions, displacements, velocities and
+// strains, each with the part of its sigma that is noise and the part that is calibration. It does
+// not know of images: `measure` feeds it with fresh matches and `analyse` with stored ones.
+//
+// Not thread-safe; uses all of TBB's threads, and the result does not depend on their number.
+class SurfaceEvaluation {
+ public:
+  // reference: the matches of the reference pair. subset: of the grid's subsets, for neighbours.
+  // Throws UsageError from the options; InputError where no point of the reference pair has a
+  // position, with what the epipolar lines say about it.
+  SurfaceEvaluation(const StereoRig& rig, StereoField reference, NeighbourCorrelation neighbours,
+                    const SurfaceEvaluationOptions& options);
+  ~SurfaceEvaluation();
+
+  // The header of a series that holds its frames, but for what only the run knows.
+  SeriesHeader Header() const;
+
+  // The points of one pair; time_s in the recording (NaN: no velocity). All of the frame but its
+  // index, ids and problem. A frame without a valid point comes back with a problem.
+  SeriesFrame Evaluate(const StereoField& field, double time_s);
+
+  // The reference pair itself: at rest by definition, without error.
+  SeriesFrame EvaluateReference(double time_s);
+
+  // Forgets the frame before: the next one has no velocity.
+  void Restart();
+
+  SurfaceSummary Summarise(const SeriesFrame& frame) const;
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace plumbline
