@@ -11,6 +11,7 @@
 #include "io/internal/rig_group.h"
 #include "io/internal/series_datasets.h"
 #include "io/internal/series_parts.h"
+#include "io/internal/series_sources.h"
 #include "io/planar_series_reader.h"
 #include "io/rig_file.h"
 #include "io/series_reader.h"
@@ -44,6 +45,7 @@ void AddPlanar(const PlanarSeriesReader& reader, FileSummary* summary) {
   summary->planar = true;
   summary->created = reader.facts().created;
   summary->software = reader.facts().software;
+  summary->goes_on = reader.facts().goes_on;
   summary->frames = reader.frame_count();
   summary->grid_rows = header.grid.height;
   summary->grid_columns = header.grid.width;
@@ -78,12 +80,15 @@ std::string FormatOf(hid_t file, std::vector<std::string>* findings) {
   return format;
 }
 
-void CheckFile(const fs::path& path, std::vector<std::string>* findings) {
+std::vector<std::string> CheckFile(const fs::path& path) {
+  std::vector<std::string> found;
   try {
     const internal::hdf5::Id file = internal::hdf5::OpenForeignFile(path);
-    const std::string format = FormatOf(file.get(), findings);
-    if (format.empty()) return;
+    const std::string format = FormatOf(file.get(), &found);
+    if (format.empty()) return found;
     const bool is_series = format == "plumbline-series";
+    Append(internal::ProblemsOfSources(path, internal::ReadSources(file.get()), true), &found);
+    if (!found.empty()) return found;  // of what is not there, HDF5 gives fill values
     std::vector<std::string> layout = internal::CheckLayout(file.get(), is_series);
     // Where something is missing, the readers would only say so again.
     if (layout.empty()) {
@@ -92,14 +97,15 @@ void CheckFile(const fs::path& path, std::vector<std::string>* findings) {
       if (is_planar) PlanarSeriesReader{path};
       if (is_series && !is_planar) SeriesReader{path};
     }
-    Append(std::move(layout), findings);
-    Append(internal::CheckDatasets(file.get()), findings);
-    if (is_series) Append(internal::CheckValues(file.get()), findings);
+    Append(std::move(layout), &found);
+    Append(internal::CheckDatasets(file.get()), &found);
+    if (is_series) Append(internal::CheckValues(file.get()), &found);
   } catch (const internal::hdf5::Error& error) {
-    findings->push_back(fmt::format("{} cannot be read: {}", path.string(), error.what()));
+    found.push_back(fmt::format("{} cannot be read: {}", path.string(), error.what()));
   } catch (const InputError& error) {
-    findings->emplace_back(error.what());
+    found.emplace_back(error.what());
   }
+  return found;
 }
 
 }  // namespace
@@ -117,6 +123,7 @@ std::string FileSummary::Text() const {
                                               frames_with_surface, frames_with_ground);
   text += fmt::format("created: {} by {}\nframes: {}, {}\ngrid: {} rows, {} columns\npoints: {}\n",
                       created, software, frames, found, grid_rows, grid_columns, points);
+  if (goes_on) text += "the run goes on: more frames will come\n";
   if (planar && planar_contents.strain)
     text += fmt::format("points with strain: {}\n", strain_points);
   std::vector<std::string> also = planar ? Names(planar_contents) : Names(contents);
@@ -141,6 +148,7 @@ FileSummary Inspect(const fs::path& file) {
   AddRig(reader.rig(), &summary);
   summary.created = reader.facts().created;
   summary.software = reader.facts().software;
+  summary.goes_on = reader.facts().goes_on;
   summary.frames = reader.frame_count();
   summary.grid_rows = reader.grid_px().height();
   summary.grid_columns = reader.grid_px().width();
@@ -167,7 +175,7 @@ std::vector<std::string> Validate(const fs::path& file) {
                     "recover {}) or delete that folder",
                     parts.string(), file.string()));
   }
-  CheckFile(file, &findings);
+  Append(CheckFile(file), &findings);
   return findings;
 }
 

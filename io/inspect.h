@@ -19,6 +19,7 @@ struct FileSummary {
   int calibration_modes = 0;
   // Series only.
   std::string created, software;
+  bool goes_on = false;  // as SeriesFacts
   std::int64_t frames = 0;
   std::int64_t frames_with_surface = 0;  // of a planar series: with a displacement field
   std::int64_t frames_with_ground = 0;

@@ -3,11 +3,13 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <filesystem>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "calib/image.h"
 #include "calib/status.h"
+#include "io/series_shard.h"
 #include "match/noise_model.h"
 #include "match/planar_field.h"
 
@@ -94,6 +96,7 @@ struct PlanarSeriesHeader {
   std::string recipe_toml;  // full, defaults filled in
   std::vector<std::filesystem::path> inputs;
   PlanarContents contents = {};
+  std::optional<SeriesShard> shard = {};  // nothing: the run is whole
 };
 
 }  // namespace plumbline

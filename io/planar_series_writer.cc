@@ -23,13 +23,13 @@ struct PlanarSeriesWriter::Impl {
 };
 
 PlanarSeriesWriter::PlanarSeriesWriter(const fs::path& file, const PlanarSeriesHeader& header,
-                                       SeriesStart start)
+                                       SeriesStart start, const LiveReading& live)
     : impl_(new Impl{header, internal::SeriesRun(
                                  file, CheckedShape(header), header.inputs,
                                  [&](const fs::path& temporary) {
                                    internal::WritePlanarHeader(temporary, header);
                                  },
-                                 start)}) {}
+                                 start, live)}) {}
 
 PlanarSeriesWriter::~PlanarSeriesWriter() = default;
 
@@ -49,6 +49,8 @@ std::int64_t PlanarSeriesWriter::committed() const { return impl_->run.committed
 std::optional<std::int64_t> PlanarSeriesWriter::last_index() const {
   return impl_->run.last_index();
 }
+
+std::string PlanarSeriesWriter::live_problem() const { return impl_->run.live_problem(); }
 
 void PlanarSeriesWriter::Close() { impl_->run.Close(); }
 

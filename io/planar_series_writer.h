@@ -4,6 +4,7 @@
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <string>
 
 #include "io/planar_series.h"
 #include "io/series_start.h"
@@ -26,7 +27,7 @@ class PlanarSeriesWriter {
   // the start is refused (see SeriesStart), std::invalid_argument naming what in the header is none
   // of the values named there.
   PlanarSeriesWriter(const std::filesystem::path& file, const PlanarSeriesHeader& header,
-                     SeriesStart start = SeriesStart::kNew);
+                     SeriesStart start = SeriesStart::kNew, const LiveReading& live = {});
 
   // Without Close(): keeps the parts for RecoverSeries() if a frame was committed.
   ~PlanarSeriesWriter();
@@ -42,6 +43,9 @@ class PlanarSeriesWriter {
   // nothing: there is none.
   std::int64_t committed() const;
   std::optional<std::int64_t> last_index() const;
+
+  // Why there is no live.h5 any more (a full disk...), though the run goes on; empty: there is one.
+  std::string live_problem() const;
 
   // Throws EnvironmentError; the parts then stay.
   void Close();

@@ -3,12 +3,14 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <string>
 #include <vector>
 
 #include "calib/image.h"
 #include "calib/rigid3.h"
 #include "calib/status.h"
+#include "io/series_shard.h"
 
 namespace plumbline {
 
@@ -17,7 +19,9 @@ struct SeriesFacts {
   std::string created;   // ISO 8601, UTC
   std::string software;  // that wrote it
   std::string recipe_toml;
-  std::string inputs_json;  // [{"path", "size", "sha256"}]
+  std::string inputs_json;           // [{"path", "size", "sha256"}]
+  std::optional<SeriesShard> shard;  // nothing: the run is whole
+  bool goes_on = false;  // the run was not finished when the file was written: more will come
 };
 
 // Which optional groups a series holds; fixed for the whole run.

@@ -15,6 +15,16 @@ enum class SeriesStart : std::uint8_t {
   kResume,
 };
 
+// What readers can follow of a run that goes on: `<file>.parts/live.h5`, a series of virtual
+// datasets over the frames up to a moment ago, written anew now and then.
+struct LiveReading {
+  // At most so often; more seldom as the run becomes longer (every 2 % of it). 0: never. It takes
+  // as much room on the disk again as the frames do.
+  double every_s = 10;
+  // The thread that writes it is busy for at most this share of the time.
+  double largest_load = 0.05;
+};
+
 // What there is of a run that was to write `file`.
 struct RunState {
   enum class Kind : std::uint8_t { kNone = 0, kUnfinished, kFinished };

@@ -24,11 +24,12 @@ struct SeriesWriter::Impl {
   internal::SeriesRun run;
 };
 
-SeriesWriter::SeriesWriter(const fs::path& file, const SeriesHeader& header, SeriesStart start)
+SeriesWriter::SeriesWriter(const fs::path& file, const SeriesHeader& header, SeriesStart start,
+                           const LiveReading& live)
     : impl_(new Impl{internal::SeriesRun(
           file, CheckedShape(header), header.inputs,
-          [&](const fs::path& temporary) { internal::WriteSeriesHeader(temporary, header); },
-          start)}) {}
+          [&](const fs::path& temporary) { internal::WriteSeriesHeader(temporary, header); }, start,
+          live)}) {}
 
 SeriesWriter::~SeriesWriter() = default;
 
@@ -38,6 +39,8 @@ void SeriesWriter::Commit(const SeriesFrame& frame) {
 
 std::int64_t SeriesWriter::committed() const { return impl_->run.committed(); }
 std::optional<std::int64_t> SeriesWriter::last_index() const { return impl_->run.last_index(); }
+
+std::string SeriesWriter::live_problem() const { return impl_->run.live_problem(); }
 
 void SeriesWriter::Close() { impl_->run.Close(); }
 

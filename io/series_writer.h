@@ -12,6 +12,7 @@
 #include "calib/stereo_rig.h"
 #include "io/rig_file.h"
 #include "io/series_frame.h"
+#include "io/series_shard.h"
 #include "io/series_start.h"
 
 namespace plumbline {
@@ -52,6 +53,7 @@ struct SeriesHeader {
   double vsg_mm = 0;
   std::string slip_convention = "ISO 8855";  // attribute of /slip
   std::vector<Channel> channels = {};
+  std::optional<SeriesShard> shard = {};  // nothing: the run is whole
 };
 
 // Writes one run.
@@ -75,7 +77,7 @@ class SeriesWriter {
   // times that go back), std::invalid_argument when the grid is empty or an attribute is none of
   // those named in SeriesHeader.
   SeriesWriter(const std::filesystem::path& file, const SeriesHeader& header,
-               SeriesStart start = SeriesStart::kNew);
+               SeriesStart start = SeriesStart::kNew, const LiveReading& live = {});
 
   // Without Close(): keeps the parts for RecoverSeries() if a frame was committed.
   ~SeriesWriter();
@@ -90,6 +92,9 @@ class SeriesWriter {
   // nothing: there is none.
   std::int64_t committed() const;
   std::optional<std::int64_t> last_index() const;
+
+  // Why there is no live.h5 any more (a full disk...), though the run goes on; empty: there is one.
+  std::string live_problem() const;
 
   // Throws EnvironmentError; the parts then stay.
   void Close();

@@ -16,6 +16,7 @@ std::vector<std::unique_ptr<Command>> AllCommands() {
   commands.push_back(MakeInfoCommand());
   commands.push_back(MakeValidateCommand());
   commands.push_back(MakeExportCommand());
+  commands.push_back(MakeMergeCommand());
   commands.push_back(MakeRecoverCommand());
   commands.push_back(MakeDemoCommand());
   return commands;

@@ -177,7 +177,15 @@ class InfoCommand : public Command {
 
   static void DescribeFacts(const SeriesFacts& facts, CommandReport& report) {
     report.text += fmt::format("  written {} by {}\n", facts.created, facts.software);
+    if (facts.shard) {
+      report.text +=
+          fmt::format("  shard {} of {}, from frame {} of {}\n", facts.shard->index + 1,
+                      facts.shard->count, facts.shard->first_frame, facts.shard->frame_count);
+      report.json["shard"] = fmt::format("{}/{}", facts.shard->index + 1, facts.shard->count);
+    }
+    if (facts.goes_on) report.text += "  the run goes on: more frames will come\n";
     report.json["format"] = "plumbline-series";
+    report.json["goes_on"] = facts.goes_on;
     report.json["created"] = facts.created;
     report.json["software"] = facts.software;
     report.json["recipe"] = facts.recipe_toml;

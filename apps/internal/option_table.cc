@@ -201,6 +201,7 @@ void OptionTable::Add(const OptionSpec& spec, OptionTarget target) {
   }
   if (IsList(target)) {
     entry.option->expected(1, 1 << 24);
+    if (spec.positional) entry.option->allow_extra_args();
   } else {
     entry.option->multi_option_policy(CLI::MultiOptionPolicy::TakeLast);
   }

@@ -29,10 +29,11 @@ ResultFile OpenResultFile(const std::string& path) {
     while (parts.size() > 1 && parts.back() == '/') parts.pop_back();
     if (!parts.ends_with(".parts")) parts += ".parts";
     if (fs::is_directory(parts)) {
-      throw InputError(fmt::format(
-          "'{}' was not finished: it is being written, or its run was killed; then use plumbline "
-          "recover {}.",
-          path, parts.substr(0, parts.size() - 6)));
+      throw InputError(
+          fmt::format("'{}' was not finished: it is being written, and {}/live.h5 holds its first "
+                      "frames; or its "
+                      "run was killed, then use plumbline recover {}.",
+                      path, parts, parts.substr(0, parts.size() - 6)));
     }
     throw InputError(fmt::format("There is no file '{}'.", path));
   }

@@ -31,6 +31,7 @@ std::vector<const char*> Pointers(const std::vector<std::string>& values) {
 }
 
 Id CreateAttribute(hid_t object, const std::string& name, hid_t type, hid_t space) {
+  if (HasAttribute(object, name)) Check(H5Adelete(object, name.c_str()), "replacing an attribute");
   return Id(Check(H5Acreate2(object, name.c_str(), type, space, H5P_DEFAULT, H5P_DEFAULT),
                   "creating an attribute"));
 }
@@ -87,12 +88,14 @@ hsize_t ElementCount(const Shape& shape) {
   return count;
 }
 
-Id CreateFile(const fs::path& file) {
+Id CreateFile(const fs::path& file, bool has_virtual) {
   Initialise();
   const Id create(Check(H5Pcreate(H5P_FILE_CREATE), "creating a file"));
   DescribeGroup(create.get());
   const Id access(Check(H5Pcreate(H5P_FILE_ACCESS), "creating a file"));
-  Check(H5Pset_libver_bounds(access.get(), H5F_LIBVER_EARLIEST, H5F_LIBVER_V18), "format version");
+  Check(H5Pset_libver_bounds(access.get(), H5F_LIBVER_EARLIEST,
+                             has_virtual ? H5F_LIBVER_V110 : H5F_LIBVER_V18),
+        "format version");
   return Id(Check(H5Fcreate(file.c_str(), H5F_ACC_TRUNC, create.get(), access.get()),
                   "creating the file"));
 }

@@ -50,7 +50,8 @@ using Shape = std::vector<hsize_t>;
 hsize_t ElementCount(const Shape& shape);
 
 // --- files and groups
-Id CreateFile(const std::filesystem::path& file);
+// has_virtual: it will hold virtual datasets, which need a newer format.
+Id CreateFile(const std::filesystem::path& file, bool has_virtual = false);
 Id OpenFile(const std::filesystem::path& file, bool writable);
 Id CreateGroup(hid_t parent, const std::string& name);  // with the groups above it
 Id OpenGroup(hid_t parent, const std::string& name);
@@ -64,7 +65,7 @@ Id EnumType(std::span<const std::string_view> names);  // of bytes, 0, 1, 2...
 template <typename T>
 hid_t NativeType();
 
-// --- attributes
+// --- attributes; a new one replaces one of the same name
 void SetText(hid_t object, const std::string& name, const std::string& value);
 void SetTexts(hid_t object, const std::string& name, const std::vector<std::string>& values);
 void SetNumber(hid_t object, const std::string& name, double value);
@@ -148,8 +149,9 @@ std::vector<std::string> ReadTexts(hid_t parent, const std::string& name,
                                    hsize_t max_elements = 1 << 22);
 
 // Opens a file that anybody may have written. Refuses (Error) what could make reading it read other
-// files or run code: links other than hard ones, external storage, virtual datasets with absolute
-// or upward sources, filters that are not part of the library, more than 100 000 objects.
+// files or run code: links other than hard ones, external storage, virtual datasets whose sources
+// are not there, lie outside its own folder and those below it (links on the way followed) or would
+// themselves be refused, filters that are not part of the library, more than 100 000 objects.
 Id OpenForeignFile(const std::filesystem::path& file);
 
 }  // namespace plumbline::internal::hdf5

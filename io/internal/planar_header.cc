@@ -141,11 +141,13 @@ void CheckPlanarHeader(const PlanarSeriesHeader& header) {
           "strain_measure is none of green_lagrange, small, hencky, almansi");
   Require(header.vsg_px >= 0 && header.window_points >= 0, "vsg_px or window_points is negative");
   Require(header.camera.bits >= 1 && header.camera.bits <= 16, "camera.bits is not in 1 to 16");
+  CheckShard(header.shard);
 }
 
 void WritePlanarHeader(const std::filesystem::path& path, const PlanarSeriesHeader& header) {
   Id file = hdf5::CreateFile(path);
   WriteRootAttributes(file.get(), "plumbline-series", header.recipe_toml, "");
+  WriteShardAttributes(file.get(), header.shard);
   hdf5::SetText(file.get(), "geometry", kPlanar);
   hdf5::SetText(file.get(), "default", "displacement");
   WriteCamera(file.get(), header.camera);
@@ -166,6 +168,7 @@ PlanarSeriesHeader ReadPlanarHeader(hid_t file, const GridFacts& grid) {
   PlanarSeriesHeader header;
   header.contents = ContentsOf<PlanarContents>(file);
   ReadGrid(file, grid, &header);
+  header.shard = ReadShardAttributes(file);
   header.camera = ReadCamera(file);
   const Id displacement = hdf5::OpenGroup(file, "/displacement");
   header.reference = hdf5::GetText(displacement.get(), "reference");

@@ -30,6 +30,49 @@ std::int64_t VersionOf(hid_t file) {
              : 1;
 }
 
+namespace {
+
+constexpr const char* kShardIndex = "shard_index";
+constexpr const char* kShardCount = "shard_count";
+constexpr const char* kShardFirstFrame = "shard_first_frame";
+constexpr const char* kShardFrameCount = "shard_frame_count";
+
+}  // namespace
+
+void WriteShardAttributes(hid_t file, const std::optional<SeriesShard>& shard) {
+  if (!shard) return;
+  hdf5::SetInteger(file, kShardIndex, shard->index);
+  hdf5::SetInteger(file, kShardCount, shard->count);
+  hdf5::SetInteger(file, kShardFirstFrame, shard->first_frame);
+  hdf5::SetInteger(file, kShardFrameCount, shard->frame_count);
+}
+
+std::optional<SeriesShard> ReadShardAttributes(hid_t file) {
+  if (!hdf5::HasAttribute(file, kShardIndex)) return std::nullopt;
+  const auto whole = [&](const char* name, double most) {
+    const double value = hdf5::GetNumber(file, name, -1);
+    if (!(value >= 0 && value <= most)) {
+      throw hdf5::Error(std::string("the attribute ") + name + " is missing or out of range");
+    }
+    return static_cast<std::int64_t>(value);
+  };
+  const SeriesShard shard{static_cast<int>(whole(kShardIndex, 1e6)),
+                          static_cast<int>(whole(kShardCount, 1e6)), whole(kShardFirstFrame, 1e15),
+                          whole(kShardFrameCount, 1e15)};
+  if (shard.index >= shard.count || shard != ShardOf(shard.index, shard.count, shard.frame_count)) {
+    throw hdf5::Error("the attributes of the shard contradict each other");
+  }
+  return shard;
+}
+
+void RemoveShardAttributes(hid_t file) {
+  for (const char* name : {kShardIndex, kShardCount, kShardFirstFrame, kShardFrameCount}) {
+    if (hdf5::HasAttribute(file, name)) hdf5::Check(H5Adelete(file, name), "removing an attribute");
+  }
+}
+
+bool IsOfShard(const std::string& attribute) { return attribute.rfind("shard_", 0) == 0; }
+
 void WriteNameAxis(hid_t file, const std::string& path, const std::string& label,
                    const std::string& long_name, const std::vector<std::string>& names) {
   hdf5::MakeScale(hdf5::WriteTexts(file, {path, "1", long_name, {names.size()}, {}}, names), label);

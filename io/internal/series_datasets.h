@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <optional>
 #include <span>
 #include <string>
 #include <string_view>
@@ -11,6 +12,7 @@
 #include "calib/image.h"
 #include "io/internal/hdf5.h"
 #include "io/internal/series_contents.h"
+#include "io/series_shard.h"
 
 // Datasets as both kinds of series have them. Throws hdf5::Error.
 namespace plumbline::internal {
@@ -21,6 +23,13 @@ bool IsPlanar(hid_t file);
 
 // Root attribute `format_version`; 1 where it is none that is read.
 std::int64_t VersionOf(hid_t file);
+
+// Root attributes of a shard; nothing is written where it is none.
+void WriteShardAttributes(hid_t file, const std::optional<SeriesShard>& shard);
+// Nothing: it is none. Throws where they are no part of a whole.
+std::optional<SeriesShard> ReadShardAttributes(hid_t file);
+void RemoveShardAttributes(hid_t file);
+bool IsOfShard(const std::string& attribute);
 
 // What a series holds, by the groups that are there.
 template <typename Contents>

@@ -1,6 +1,8 @@
 #include "io/internal/series_file.h"
 
 #include "io/internal/rig_group.h"
+#include "io/internal/series_parts.h"
+#include "io/internal/series_sources.h"
 
 namespace plumbline::internal {
 namespace fs = std::filesystem;
@@ -31,7 +33,10 @@ void SeriesFile::Open(Kind kind) {
                           : "it is of a single camera, and one of a stereo rig is wanted");
   }
   facts_ = {hdf5::GetText(id(), "created"), hdf5::GetText(id(), "software"),
-            hdf5::GetText(id(), "recipe"), hdf5::GetText(id(), "inputs")};
+            hdf5::GetText(id(), "recipe"),  hdf5::GetText(id(), "inputs"),
+            ReadShardAttributes(id()),      hdf5::GetNumber(id(), kGoesOn, 0) != 0};
+  const auto problems = ProblemsOfSources(path_, ReadSources(id()), false);
+  if (!problems.empty()) throw hdf5::Error(problems[0]);
 }
 
 GridFacts SeriesFile::ReadGrid() const {

@@ -117,6 +117,11 @@ bool IsStrainAxes(const std::string& text) {
          static_cast<std::size_t>(used) == text.size() && axis.allFinite() && axis.norm() > 0;
 }
 
+void CheckShard(const std::optional<SeriesShard>& shard) {
+  if (!shard || *shard == ShardOf(shard->index, shard->count, shard->frame_count)) return;
+  throw std::invalid_argument("the header's shard is not one of ShardOf()");
+}
+
 void CheckSeriesHeader(const SeriesHeader& header) {
   if (!IsGridPoints(header.grid_points)) {
     throw std::invalid_argument("SeriesHeader::grid_points is neither image nor material: " +
@@ -136,6 +141,7 @@ void CheckSeriesHeader(const SeriesHeader& header) {
         "SeriesHeader::strain_axes is none of material, ground and a direction x,y,z: " +
         header.strain_axes);
   }
+  CheckShard(header.shard);
   std::set<std::string> names;
   for (const Channel& channel : header.channels) {
     std::string problem = ProblemOf(channel);
@@ -148,6 +154,7 @@ void CheckSeriesHeader(const SeriesHeader& header) {
 void WriteSeriesHeader(const std::filesystem::path& path, const SeriesHeader& header) {
   Id file = hdf5::CreateFile(path);
   WriteRootAttributes(file.get(), "plumbline-series", header.recipe_toml, "", kFormatVersion);
+  WriteShardAttributes(file.get(), header.shard);
   hdf5::SetText(file.get(), "default", "surface");
   WriteRigGroup(file.get(), header.rig, header.rig_extras);
   const Id grid = WriteGrid(

@@ -13,6 +13,9 @@ namespace plumbline::internal {
 // InputError on a channel that cannot be stored.
 void CheckSeriesHeader(const SeriesHeader& header);
 
+// Throws std::invalid_argument where it is not one of ShardOf().
+void CheckShard(const std::optional<SeriesShard>& shard);
+
 // Writes header.h5: everything of the series but its frames. Throws hdf5::Error.
 void WriteSeriesHeader(const std::filesystem::path& file, const SeriesHeader& header);
 

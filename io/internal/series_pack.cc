@@ -2,6 +2,8 @@
 
 #include <fmt/format.h>
 
+#include <limits>
+
 #include "calib/error.h"
 #include "io/internal/durable_file.h"
 #include "io/internal/frame_packer.h"
@@ -17,8 +19,11 @@ namespace {
 
 using hdf5::Id;
 
-std::int64_t WritePacked(const fs::path& file_name, JournalReader& journal,
-                         const JournalStart& start, const std::string& inputs) {
+}  // namespace
+
+std::int64_t PackRecords(const fs::path& file_name, const fs::path& header, JournalReader& journal,
+                         const SeriesShape& shape, std::int64_t most, const std::string& inputs) {
+  fs::copy_file(header, file_name, fs::copy_options::overwrite_existing);
   Id file = hdf5::OpenFile(file_name, true);
   // Records of points go by their place in the table of this version.
   if (VersionOf(file.get()) != (IsPlanar(file.get()) ? 1 : kFormatVersion)) {
@@ -27,18 +32,18 @@ std::int64_t WritePacked(const fs::path& file_name, JournalReader& journal,
                     hdf5::GetText(file.get(), "software")));
   }
   std::int64_t frames = 0;
-  const std::unique_ptr<FramePacker> packer = MakeFramePacker(file.get(), start.shape);
-  while (const auto payload = journal.Next()) {
+  const std::unique_ptr<FramePacker> packer = MakeFramePacker(file.get(), shape);
+  while (frames < most) {
+    const auto payload = journal.Next();
+    if (!payload) break;
     packer->Add(*payload);
     ++frames;
   }
   packer->Finish();
-  hdf5::SetText(file.get(), "inputs", inputs.empty() ? DescribeInputs(start.InputPaths()) : inputs);
+  hdf5::SetText(file.get(), "inputs", inputs);
   file.Close("closing the file");
   return frames;
 }
-
-}  // namespace
 
 RecoveredSeries PackSeries(const fs::path& series, const std::string& inputs, bool lock) {
   const fs::path packed = PartsFolder(series) / "packed.h5";
@@ -53,8 +58,9 @@ RecoveredSeries PackSeries(const fs::path& series, const std::string& inputs, bo
                       PartsFolder(series).string()));
     }
     const JournalStart start = DecodeStart(*first);
-    fs::copy_file(HeaderFile(series), packed, fs::copy_options::overwrite_existing);
-    result.frames = WritePacked(packed, journal, start, inputs);
+    result.frames = PackRecords(packed, HeaderFile(series), journal, start.shape,
+                                std::numeric_limits<std::int64_t>::max(),
+                                inputs.empty() ? DescribeInputs(start.InputPaths()) : inputs);
     result.bytes_dropped = journal.size() - journal.position();
     SyncPath(packed);
     fs::rename(packed, series);

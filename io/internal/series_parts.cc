@@ -1,5 +1,6 @@
 #include "io/internal/series_parts.h"
 
+#include <initializer_list>
 #include <system_error>
 
 namespace plumbline::internal {
@@ -9,24 +10,39 @@ fs::path PartsFolder(const fs::path& series) { return series.string() + ".parts"
 fs::path JournalFile(const fs::path& series) { return PartsFolder(series) / "journal"; }
 fs::path HeaderFile(const fs::path& series) { return PartsFolder(series) / "header.h5"; }
 
+fs::path LiveFile(const fs::path& series) { return PartsFolder(series) / "live.h5"; }
+
 bool HoldsARun(const fs::path& series) {
   std::error_code ignored;
   return fs::exists(JournalFile(series), ignored);
 }
 
-void RemoveParts(const fs::path& series) {
+namespace {
+
+// Removes the files of the parts folder whose names begin with one of these.
+void RemoveFiles(const fs::path& folder, std::initializer_list<const char*> beginnings) {
   std::error_code ignored;
-  const fs::path folder = PartsFolder(series);
-  fs::remove(JournalFile(series), ignored);
-  std::vector<fs::path> ours;
+  std::vector<fs::path> files;
   for (const auto& entry : fs::directory_iterator(folder, ignored)) {
     const std::string name = entry.path().filename().string();
-    if (name.rfind("header.h5", 0) == 0 || name.rfind("packed.h5", 0) == 0) {
-      ours.push_back(entry.path());
+    for (const char* beginning : beginnings) {
+      if (name.rfind(beginning, 0) == 0) files.push_back(entry.path());
     }
   }
-  for (const fs::path& file : ours) fs::remove(file, ignored);
-  fs::remove(folder, ignored);
+  for (const fs::path& file : files) fs::remove(file, ignored);
+}
+
+}  // namespace
+
+void RemoveLiveFiles(const fs::path& series) {
+  RemoveFiles(PartsFolder(series), {"live.h5", "segment-"});
+}
+
+void RemoveParts(const fs::path& series) {
+  std::error_code ignored;
+  fs::remove(JournalFile(series), ignored);
+  RemoveFiles(PartsFolder(series), {"header.h5", "packed.h5", "live.h5", "segment-"});
+  fs::remove(PartsFolder(series), ignored);
 }
 
 JournalStart JournalStart::Of(const SeriesShape& shape, const std::vector<fs::path>& inputs) {

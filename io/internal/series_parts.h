@@ -15,11 +15,19 @@ std::filesystem::path PartsFolder(const std::filesystem::path& series);
 std::filesystem::path JournalFile(const std::filesystem::path& series);
 std::filesystem::path HeaderFile(const std::filesystem::path& series);
 
+std::filesystem::path LiveFile(const std::filesystem::path& series);
+
 // Whether the folder holds a run: its journal is the first that is made and the first that goes.
 bool HoldsARun(const std::filesystem::path& series);
 
+// Removes live.h5 and its segments.
+void RemoveLiveFiles(const std::filesystem::path& series);
+
 // Removes what a run puts there, the journal first, and the folder if nothing else is in it.
 void RemoveParts(const std::filesystem::path& series);
+
+// Root attribute of live.h5: the run goes on, and what follows is not in it yet.
+inline constexpr const char* kGoesOn = "run_goes_on";
 
 // The journal's first record.
 struct JournalStart {

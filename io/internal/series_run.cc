@@ -13,6 +13,7 @@
 #include "io/internal/hdf5.h"
 #include "io/internal/hdf5_tree.h"
 #include "io/internal/journal.h"
+#include "io/internal/live_view.h"
 #include "io/internal/series_pack.h"
 #include "io/internal/series_parts.h"
 
@@ -33,11 +34,15 @@ void MakePartsFolder(const fs::path& file) {
       folder.string(), file.string()));
 }
 
-// A run that was killed before its first frame could be committed has nothing to go on with.
-bool HasBegun(const fs::path& file) {
+// Where its first frame begins; nothing: it was killed before one could be committed, and there is
+// nothing to go on with.
+std::optional<JournalPlace> FirstFrame(const fs::path& file) {
   JournalReader journal(JournalFile(file), true);
-  if (journal.Next()) return fs::exists(HeaderFile(file));
-  if (journal.at_end()) return false;
+  if (journal.Next()) {
+    if (!fs::exists(HeaderFile(file))) return std::nullopt;
+    return JournalPlace{journal.index(), journal.position()};
+  }
+  if (journal.at_end()) return std::nullopt;
   throw InputError(fmt::format("{} is damaged at its beginning, and nothing behind it can be read",
                                JournalFile(file).string()));
 }
@@ -102,9 +107,11 @@ struct SeriesRun::Impl {
   std::unique_ptr<JournalWriter> journal;
   std::int64_t committed = 0;
   std::optional<std::int64_t> last_index;
+  JournalPlace first_frame;
   bool closed = false;
   std::atomic<bool> stop{false};
   std::future<std::string> inputs;  // hashed while the run goes on
+  std::unique_ptr<LiveView> live;
 
   using WriteHeader = std::function<void(const fs::path&)>;
 
@@ -114,6 +121,7 @@ struct SeriesRun::Impl {
       journal = std::make_unique<JournalWriter>(JournalFile(file));
       WriteDurably(HeaderFile(file), write_header);
       journal->Append(Encode(start));
+      first_frame = journal->end();
       SyncPath(PartsFolder(file));
       SyncPath(file.parent_path());
     } catch (...) {
@@ -141,6 +149,7 @@ struct SeriesRun::Impl {
   ~Impl() {
     stop = true;
     if (inputs.valid()) inputs.wait();
+    live.reset();
     if (closed || !journal) return;
     journal.reset();
     if (committed == 0) RemoveParts(file);
@@ -149,13 +158,17 @@ struct SeriesRun::Impl {
 
 SeriesRun::SeriesRun(const fs::path& file, const SeriesShape& shape,
                      const std::vector<fs::path>& inputs,
-                     const std::function<void(const fs::path&)>& write_header, SeriesStart start)
+                     const std::function<void(const fs::path&)>& write_header, SeriesStart start,
+                     const LiveReading& live)
     : impl_(std::make_unique<Impl>()) {
   impl_->file = file;
   impl_->shape = shape;
   const JournalStart first = JournalStart::Of(shape, inputs);
   try {
-    if (start == SeriesStart::kResume && HoldsARun(file) && HasBegun(file)) {
+    std::optional<JournalPlace> begun;
+    if (start == SeriesStart::kResume && HoldsARun(file)) begun = FirstFrame(file);
+    if (begun) {
+      impl_->first_frame = *begun;
       impl_->GoOn(first, write_header);
     } else {
       if (start == SeriesStart::kResume) {
@@ -170,6 +183,7 @@ SeriesRun::SeriesRun(const fs::path& file, const SeriesShape& shape,
   } catch (const hdf5::Error& error) {
     throw EnvironmentError(fmt::format("cannot write {}: {}", file.string(), error.what()));
   }
+  impl_->live = std::make_unique<LiveView>(file, shape, impl_->first_frame, live);
   impl_->inputs = std::async(std::launch::async, [impl = impl_.get(), inputs] {
     return DescribeInputs(inputs, [impl] { return impl->stop.load(); });
   });
@@ -179,6 +193,7 @@ SeriesRun::~SeriesRun() = default;
 
 const SeriesShape& SeriesRun::shape() const { return impl_->shape; }
 std::int64_t SeriesRun::committed() const { return impl_->committed; }
+std::string SeriesRun::live_problem() const { return impl_->live ? impl_->live->problem() : ""; }
 std::optional<std::int64_t> SeriesRun::last_index() const { return impl_->last_index; }
 
 void SeriesRun::Commit(std::span<const std::uint8_t> record) {
@@ -186,11 +201,13 @@ void SeriesRun::Commit(std::span<const std::uint8_t> record) {
   impl_->journal->Append(record);
   ++impl_->committed;
   impl_->last_index = IndexOfRecord(record);
+  impl_->live->Committed(impl_->journal->end());
 }
 
 void SeriesRun::Close() {
   if (impl_->closed) return;
   const std::string inputs = impl_->inputs.valid() ? impl_->inputs.get() : "";
+  impl_->live.reset();
   PackSeries(impl_->file, inputs, false);
   impl_->closed = true;
 }

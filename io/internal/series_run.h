@@ -6,6 +6,7 @@
 #include <memory>
 #include <optional>
 #include <span>
+#include <string>
 #include <vector>
 
 #include "io/internal/point_layout.h"
@@ -25,7 +26,7 @@ class SeriesRun {
   SeriesRun(const std::filesystem::path& file, const SeriesShape& shape,
             const std::vector<std::filesystem::path>& inputs,
             const std::function<void(const std::filesystem::path&)>& write_header,
-            SeriesStart start = SeriesStart::kNew);
+            SeriesStart start = SeriesStart::kNew, const LiveReading& live = {});
 
   // Without Close(): keeps the parts if a frame was committed.
   ~SeriesRun();
@@ -35,6 +36,7 @@ class SeriesRun {
   const SeriesShape& shape() const;
   std::int64_t committed() const;
   std::optional<std::int64_t> last_index() const;
+  std::string live_problem() const;
 
   // What the packer of this kind of series decodes. Throws EnvironmentError.
   void Commit(std::span<const std::uint8_t> record);

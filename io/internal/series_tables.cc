@@ -100,11 +100,12 @@ void WriteFrameTables(hid_t file, const SeriesContents& contents, const Frames& 
   }
 }
 
-std::string FrameOfPositions(const Frames& frames, const std::vector<std::uint8_t>& has_surface) {
+std::string FrameOfPositions(const std::vector<std::uint8_t>& surface_frame,
+                             const std::vector<std::uint8_t>& has_surface) {
   std::string name;
-  for (std::size_t i = 0; i < frames.size(); ++i) {
+  for (std::size_t i = 0; i < surface_frame.size(); ++i) {
     if (has_surface[i] == 0) continue;
-    const std::string own(kSurfaceFrameNames[static_cast<std::size_t>(frames[i].surface.frame)]);
+    const std::string own(kSurfaceFrameNames.at(surface_frame[i]));
     if (name.empty()) name = own;
     if (name != own) return "mixed: see /frames/surface_frame";
   }
@@ -132,27 +133,14 @@ class StereoPacker : public FramePacker {
   void Finish() override {
     WriteFrameTables(file_, contents_, frames_, has_surface_);
     if (contours_) contours_->Finish();
-    WriteSurfaceFrame(FrameOfPositions(frames_, has_surface_));
+    WriteFrameOfPositions(
+        file_, Column<std::uint8_t>(frames_, [](const auto& f) { return f.surface.frame; }),
+        has_surface_);
     points_.Finish();
     if (contents_.strain) LinkStrainByMeasure();
   }
 
  private:
-  // What the vectors are given in.
-  void WriteSurfaceFrame(const std::string& name) {
-    for (const PointGroupFacts& group : StereoPoints().groups) {
-      if (!group.in_surface_frame || !Holds(shape_.content_bits, group.needs)) continue;
-      const std::string path(group.path);
-      const std::string signal = path + "/" + std::string(group.signal);
-      hdf5::SetText(hdf5::OpenGroup(file_, path).get(), "frame", name);
-      hdf5::SetText(hdf5::OpenDataset(file_, signal).get(), "frame", name);
-    }
-    for (const RecordGroup& group : RecordGroups()) {
-      if (!group.in_surface_frame || !Holds(contents_, group.needs)) continue;
-      hdf5::SetText(hdf5::OpenGroup(file_, group.path).get(), "frame", name);
-    }
-  }
-
   // The strain goes by the name of its measure too.
   void LinkStrainByMeasure() {
     const std::string measure = hdf5::GetText(hdf5::OpenGroup(file_, "/strain").get(), "measure");
@@ -171,6 +159,22 @@ class StereoPacker : public FramePacker {
 };
 
 }  // namespace
+
+void WriteFrameOfPositions(hid_t file, const std::vector<std::uint8_t>& surface_frame,
+                           const std::vector<std::uint8_t>& has_surface) {
+  const std::string name = FrameOfPositions(surface_frame, has_surface);
+  for (const PointGroupFacts& group : StereoPoints().groups) {
+    const std::string path(group.path);
+    if (!group.in_surface_frame || !hdf5::Exists(file, path)) continue;
+    hdf5::SetText(hdf5::OpenGroup(file, path).get(), "frame", name);
+    hdf5::SetText(hdf5::OpenDataset(file, path + "/" + std::string(group.signal)).get(), "frame",
+                  name);
+  }
+  for (const RecordGroup& group : RecordGroups()) {
+    if (!group.in_surface_frame || !hdf5::Exists(file, group.path)) continue;
+    hdf5::SetText(hdf5::OpenGroup(file, group.path).get(), "frame", name);
+  }
+}
 
 std::unique_ptr<FramePacker> MakeStereoPacker(hid_t file, const SeriesShape& shape) {
   return std::make_unique<StereoPacker>(file, shape);

@@ -48,7 +48,7 @@ void GoOnToTheEnd(const Header& header) {
     EXPECT_THROW(Writer(file, header, SeriesStart::kResume), InputError);  // and tidies up
     return;
   }
-  Writer writer(file, header, SeriesStart::kResume);
+  Writer writer(file, header, SeriesStart::kResume, {.every_s = 1e-3, .largest_load = 1});
   for (std::int64_t i = writer.committed(); i < kFrames; ++i) writer.Commit(FrameOf(i, header));
   writer.Close();
 }

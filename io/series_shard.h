@@ -1,0 +1,26 @@
+#pragma once
+
+#include <cstdint>
+
+namespace plumbline {
+
+// A part of a run that was cut into `count` of them: what one worker of a cluster measures. Frames
+// are counted along the whole run, from 0, whatever their SeriesFrame::index; a shard holds those
+// from its first_frame up to that of the next one.
+struct SeriesShard {
+  int index = 0;  // 0 to count - 1
+  int count = 1;
+  std::int64_t first_frame = 0;
+  std::int64_t frame_count = 0;  // of the whole run
+
+  friend bool operator==(const SeriesShard&, const SeriesShard&) = default;
+};
+
+// Shard i of n of a run of so many frames: they differ by one frame at most. Throws
+// std::invalid_argument unless 0 <= index < count and frame_count >= 0.
+SeriesShard ShardOf(int index, int count, std::int64_t frame_count);
+
+// The first frame that is no more of it.
+std::int64_t EndOf(const SeriesShard& shard);
+
+}  // namespace plumbline
