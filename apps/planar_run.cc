@@ -1,24 +1,17 @@
 #include "apps/planar_run.h"
 
 #include <fmt/format.h>
-#include <toml++/toml.h>
 
 #include <algorithm>
 #include <chrono>
 #include <cmath>
-#include <filesystem>
 #include <limits>
-#include <nlohmann/json.hpp>
 
 #include "calib/error.h"
 #include "calib/median.h"
-#include "io/file_hash.h"
-#include "io/image_source.h"
 
 namespace plumbline {
 namespace {
-
-namespace fs = std::filesystem;
 
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 
@@ -166,100 +159,6 @@ CorrelatedFrame PlanarRun::Correlate(const SequenceImage& image) {
   }
   result.summary = Summarise(result.frame);
   return result;
-}
-
-namespace {
-
-// The recorded input of this file name, if the file is still the same; else nothing and why.
-std::optional<fs::path> UnchangedInput(const std::string& inputs_json, const std::string& name,
-                                       std::string* why) {
-  *why = fmt::format("'{}' is not among the recorded inputs", name);
-  const auto inputs = nlohmann::json::parse(inputs_json, nullptr, false);
-  if (!inputs.is_array()) return std::nullopt;
-  for (const auto& input : inputs) {
-    if (!input.is_object()) continue;
-    const auto text = [&](const char* key) {
-      return input.contains(key) && input[key].is_string() ? input[key].get<std::string>() : "";
-    };
-    const fs::path path = text("path");
-    if (path.filename() != fs::path(name).filename()) continue;
-    if (!fs::is_regular_file(path)) {
-      *why = fmt::format("'{}' is not there any more", path.string());
-    } else if (text("sha256").empty() || FileSha256(path) != text("sha256")) {
-      *why = fmt::format("'{}' is not the file that was read then", path.string());
-    } else {
-      return path;
-    }
-    break;  // others of that name are other files
-  }
-  return std::nullopt;
-}
-
-// What the recipe says of the pixels that count.
-struct RecordedPixels {
-  std::string mask, roi;
-};
-
-RecordedPixels PixelsOf(const std::string& recipe_toml) {
-  try {
-    const toml::table recipe = toml::parse(recipe_toml);
-    return {recipe["correlate"]["mask"].value_or(std::string()),
-            recipe["correlate"]["roi"].value_or(std::string())};
-  } catch (const toml::parse_error&) {
-    return {};
-  }
-}
-
-FieldOptions OptionsOf(const PlanarSeriesHeader& header) {
-  FieldOptions options;
-  options.correlator.subset_px = header.subset_px;
-  options.correlator.order = header.order;
-  options.correlator.shape =
-      header.subset_shape == "circle" ? SubsetShape::kCircle : SubsetShape::kSquare;
-  options.image.interpolation =
-      header.interpolation == "cubic" ? Interpolation::kCubic : Interpolation::kQuintic;
-  options.image.prefilter = header.prefilter == "low-pass"   ? Prefilter::kLowPass
-                            : header.prefilter == "gaussian" ? Prefilter::kGaussian
-                                                             : Prefilter::kNone;
-  if (header.prefilter == "gaussian") options.image.gaussian_sigma_px = header.prefilter_sigma_px;
-  options.step_px = header.step_px;
-  options.first_px = header.first_px;
-  options.grid = header.grid;
-  return options;
-}
-
-}  // namespace
-
-SeriesNeighbours NeighboursOf(const PlanarSeriesHeader& header, const std::string& inputs_json) {
-  std::string why;
-  try {
-    const RecordedPixels pixels = PixelsOf(header.recipe_toml);
-    const auto image = UnchangedInput(inputs_json, header.reference_id, &why);
-    std::optional<fs::path> mask;
-    if (image && !pixels.mask.empty()) mask = UnchangedInput(inputs_json, pixels.mask, &why);
-    if (image && (mask || pixels.mask.empty())) {
-      const GrayImage reference = ReadImage(*image);
-      std::optional<PixelRegion> roi;
-      if (!pixels.roi.empty()) roi = PixelRegion::Parse(pixels.roi);
-      const FieldCorrelator correlator(
-          reference, OptionsOf(header),
-          WantedPixels(reference.size(), roi, mask ? ReadMask(*mask) : Image<std::uint8_t>()));
-      SeriesNeighbours exact{correlator.neighbours(), "", {*image}};
-      if (mask) exact.files.push_back(*mask);
-      return exact;
-    }
-  } catch (const InputError& error) {
-    why = error.what();
-  } catch (const UsageError& error) {
-    why = error.what();
-  }
-  return {NeighbourCorrelation::OfOverlap(header.grid, header.step_px, header.subset_px,
-                                          header.order, header.subset_shape == "circle"),
-          fmt::format("How the errors of neighbouring points go together is taken from the overlap "
-                      "of their subsets alone, since the reference image is not to be had ({}); "
-                      "sigmas of strain may be off by some per cent.",
-                      why),
-          {}};
 }
 
 }  // namespace plumbline

@@ -2,7 +2,6 @@
 
 #include <array>
 #include <cstdint>
-#include <filesystem>
 #include <memory>
 #include <optional>
 #include <string>
@@ -75,16 +74,5 @@ class PlanarRun {
 
 // The strain as a series holds it.
 PlanarStrainRecord RecordOf(PlanarStrain strain);
-
-// How the errors of a series' points go together.
-struct SeriesNeighbours {
-  NeighbourCorrelation correlation;
-  std::string note;  // empty where it is exact, from the reference image; else what it is, and why
-  std::vector<std::filesystem::path> files;  // it was found from
-};
-
-// From the reference image, where it is still where the run read it (recorded path and SHA-256,
-// and that of the mask); else from the overlap of the subsets alone.
-SeriesNeighbours NeighboursOf(const PlanarSeriesHeader& header, const std::string& inputs_json);
 
 }  // namespace plumbline

@@ -64,7 +64,9 @@ Shard ReadShard(const fs::path& file) {
 void CheckSet(const std::vector<Shard>& shards) {  // in order
   const SeriesShard& first = shards[0].part;
   for (const Shard& shard : shards) {
-    if (shard.part.count == first.count && shard.part.frame_count == first.frame_count) continue;
+    if (shard.part.count == first.count && shard.part.frame_count == first.frame_count &&
+        shard.part.block_frames == first.block_frames)
+      continue;
     throw InputError(
         fmt::format("{} is of a run of {} shards and {} frames, {} of one of {} and {}",
                     shards[0].file.string(), first.count, first.frame_count, shard.file.string(),

@@ -11,14 +11,15 @@ struct SeriesShard {
   int index = 0;  // 0 to count - 1
   int count = 1;
   std::int64_t first_frame = 0;
-  std::int64_t frame_count = 0;  // of the whole run
+  std::int64_t frame_count = 0;   // of the whole run
+  std::int64_t block_frames = 1;  // it is cut between blocks of so many frames only
 
   friend bool operator==(const SeriesShard&, const SeriesShard&) = default;
 };
 
-// Shard i of n of a run of so many frames: they differ by one frame at most. Throws
-// std::invalid_argument unless 0 <= index < count and frame_count >= 0.
-SeriesShard ShardOf(int index, int count, std::int64_t frame_count);
+// Shard i of n of a run of so many frames: they differ by one block at most. Throws
+// std::invalid_argument unless 0 <= index < count, frame_count >= 0 and block_frames >= 1.
+SeriesShard ShardOf(int index, int count, std::int64_t frame_count, std::int64_t block_frames = 1);
 
 // The first frame that is no more of it.
 std::int64_t EndOf(const SeriesShard& shard);

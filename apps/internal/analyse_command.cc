@@ -4,12 +4,16 @@
 #include <filesystem>
 
 #include "apps/internal/command.h"
+#include "apps/internal/measure_report.h"
 #include "apps/internal/planar_report.h"
 #include "apps/internal/result_file.h"
-#include "apps/internal/strain_options.h"
+#include "apps/internal/series_neighbours.h"
+#include "apps/internal/stereo_options.h"
+#include "apps/internal/surface_records.h"
 #include "apps/interrupt.h"
 #include "calib/error.h"
 #include "io/planar_series_writer.h"
+#include "io/series_writer.h"
 
 namespace plumbline::internal {
 namespace {
@@ -29,11 +33,13 @@ class AnalyseCommand : public Command {
  public:
   std::string Name() const override { return "analyse"; }
   std::string Summary() const override {
-    return "Work out the strain of a run again, with other settings, without correlating again.";
+    return "Work out strain, plane and frames of a run again, with other settings, without "
+           "correlating again.";
   }
   std::string Footer() const override {
     return "Example:\n"
-           "  plumbline analyse field.h5 -o strain.h5 --strain-window 15 --strain-measure hencky";
+           "  plumbline analyse run.h5 -o strain.h5 --strain-window 15 --strain-measure hencky\n"
+           "Of a run of one camera only the options of strain count.";
   }
   void Declare(OptionTable& options) override;
   CommandReport Run(const CommonOptions& common, const std::string& recipe_toml) override;
@@ -48,15 +54,23 @@ class AnalyseCommand : public Command {
                        const std::string& note, const std::vector<Row>& rows,
                        bool interrupted) const;
 
+  CommandReport RunPlanar(const PlanarSeriesReader& series, const CommonOptions& common,
+                          const std::string& recipe_toml);
+  CommandReport RunStereo(const SeriesReader& series, const CommonOptions& common,
+                          const std::string& recipe_toml) const;
+  fs::path Output() const;
+
   std::string file_, output_;
   bool overwrite_ = false;
-  StrainOptionSet strain_{9};
+  EvaluationOptionSet evaluation_;
 };
 
 void AnalyseCommand::Declare(OptionTable& options) {
-  options.Add(
-      {.name = "FILE", .help = "a run of one camera (.h5)", .required = true, .positional = true},
-      &file_);
+  options.Add({.name = "FILE",
+               .help = "a run of a rig (measure --matcher dic) or of one camera (correlate)",
+               .required = true,
+               .positional = true},
+              &file_);
   options.Add({.name = "output",
                .help = "where the result goes: the same frames and displacements, strain anew",
                .unit = "FILE",
@@ -64,8 +78,9 @@ void AnalyseCommand::Declare(OptionTable& options) {
                .required = true},
               &output_);
   options.Add({.name = "overwrite", .help = "replace the output file if it is there"}, &overwrite_);
-  strain_.Declare(options);
-  strain_.DeclareWeights(options);
+  evaluation_.DeclareGround(options);
+  evaluation_.Declare(options);
+  evaluation_.strain().DeclareWeights(options);
 }
 
 CommandReport AnalyseCommand::Report(const fs::path& output, const PlanarSeriesHeader& header,
@@ -107,16 +122,107 @@ CommandReport AnalyseCommand::Report(const fs::path& output, const PlanarSeriesH
   return report;
 }
 
-CommandReport AnalyseCommand::Run(const CommonOptions& common, const std::string& recipe_toml) {
-  const PlanarStrainOptions options = strain_.Options();
-  const ResultFile file = OpenResultFile(file_);
-  if (!file.planar) {
-    throw InputError(fmt::format(
-        "'{}' is {}; analyse works on runs of one camera, as plumbline correlate writes them, "
-        "since those of a rig have no displacements yet.",
-        file_, file.series ? "a run of a stereo rig" : "a rig file"));
+fs::path AnalyseCommand::Output() const {
+  const fs::path output = CheckedOutput(output_, overwrite_);
+  if (fs::exists(output) && fs::equivalent(output, file_)) {
+    throw InputError("The result cannot take the place of the run that it is made from.");
   }
-  const PlanarSeriesReader& series = *file.planar;
+  return output;
+}
+
+CommandReport AnalyseCommand::Run(const CommonOptions& common, const std::string& recipe_toml) {
+  const ResultFile file = OpenResultFile(file_);
+  if (file.planar) return RunPlanar(*file.planar, common, recipe_toml);
+  if (file.series) return RunStereo(*file.series, common, recipe_toml);
+  throw InputError(fmt::format("'{}' is a rig file; analyse works on runs.", file_));
+}
+
+// The frame of the run that displacements count from.
+SeriesFrame ReferenceFrame(const SeriesReader& series, const std::string& file) {
+  if (!series.contents().matches) {
+    throw InputError(fmt::format(
+        "'{}' holds no matches to work on: it was measured with sgbm or with --no-matches; measure "
+        "with --matcher dic.",
+        file));
+  }
+  for (std::int64_t i = 0; i < series.frame_count(); ++i) {
+    SeriesFrame frame = series.Frame(i);
+    if (fmt::format("frame {}", frame.index) == series.displacement_reference()) return frame;
+  }
+  throw InputError(
+      fmt::format("'{}' does not hold the pair that its displacements count from ({}); of a run in "
+                  "shards, merge "
+                  "them first.",
+                  file, series.displacement_reference()));
+}
+
+CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const CommonOptions& common,
+                                        const std::string& recipe_toml) const {
+  const SurfaceEvaluationOptions options = evaluation_.Options(common.seed);
+  const fs::path output = Output();
+  const SeriesFrame first = ReferenceFrame(series, file_);
+  const SeriesNeighbours neighbours = NeighboursOf(series, first.left_id);
+  const Image<Eigen::Vector2f> grid = series.grid_px();
+  PlanarField like;
+  like.first_px = grid(0, 0).array().round().cast<int>();
+  like.step_px = series.step_px();
+  like.subset_px = series.subset_px();
+  SurfaceEvaluation evaluation(series.rig(), FieldOf(first.match, first.surface.status, like),
+                               neighbours.correlation, options);
+  SeriesHeader header = evaluation.Header();
+  header.displacement_reference = series.displacement_reference();
+  header.recipe_toml = JoinRecipes(series.facts().recipe_toml, recipe_toml);
+  header.inputs = {fs::path(file_)};
+  header.inputs.insert(header.inputs.end(), neighbours.files.begin(), neighbours.files.end());
+
+  const InterruptGuard guard;
+  SeriesWriter writer(output, header);
+  MeasureReport report(output, series.frame_count(), series.rig().modes.count() > 0);
+  Progress progress("analysing", series.frame_count(), common.progress());
+  for (std::int64_t i = 0; i < series.frame_count(); ++i) {
+    if (InterruptGuard::Requested()) {
+      report.SetInterrupted();
+      break;
+    }
+    const SeriesFrame before = series.Frame(i);
+    ReportedFrame now;
+    now.frame.problem = before.problem;
+    if (before.problem.empty()) {
+      now.frame = before.index == first.index
+                      ? evaluation.EvaluateReference(before.time_s)
+                      : evaluation.Evaluate(FieldOf(before.match, before.surface.status, like),
+                                            before.time_s);
+      if (now.frame.problem.empty()) now.frame.surface.correlation = before.surface.correlation;
+    }
+    now.frame.index = before.index;
+    now.frame.time_s = before.time_s;
+    now.frame.left_id = before.left_id;
+    now.frame.right_id = before.right_id;
+    now.frame.dropped_before = before.dropped_before;
+    now.motion = evaluation.Summarise(now.frame);
+    now.summary.grid_points = now.motion->grid_points;
+    now.summary.valid_points = now.motion->valid_points;
+    writer.Commit(now.frame);
+    report.Add(now);
+    progress.Advance();
+  }
+  if (report.frames() == 0) {
+    spdlog::error("There are no frames to analyse; nothing was written.");
+    return {"", {{"frames", nlohmann::json::array()}}, 3};
+  }
+  writer.Close();
+  CommandReport result = report.Make();
+  if (!neighbours.note.empty()) {
+    result.text += "Note: " + neighbours.note + "\n";
+    result.json["notes"] = {neighbours.note};
+  }
+  return result;
+}
+
+CommandReport AnalyseCommand::RunPlanar(const PlanarSeriesReader& series,
+                                        const CommonOptions& common,
+                                        const std::string& recipe_toml) {
+  const PlanarStrainOptions options = evaluation_.strain().Options();
   if (options.window_points == 1 &&
       (series.header().order < 1 || !series.header().contents.gradient_covariance)) {
     throw InputError(fmt::format(
@@ -125,10 +231,7 @@ CommandReport AnalyseCommand::Run(const CommonOptions& common, const std::string
         "window of 3 points or more.",
         file_));
   }
-  const fs::path output = CheckedOutput(output_, overwrite_);
-  if (fs::exists(output) && fs::equivalent(output, file_)) {
-    throw InputError("The result cannot take the place of the run that it is made from.");
-  }
+  const fs::path output = Output();
   const SeriesNeighbours neighbours = NeighboursOf(series.header(), series.facts().inputs_json);
   PlanarSeriesHeader header = series.header();
   header.contents.strain = true;

@@ -8,6 +8,25 @@
 
 namespace plumbline::internal {
 
+void SetPrefilter(const std::string& text, CorrelationImageOptions& options) {
+  if (text == "low-pass") {
+    options.prefilter = Prefilter::kLowPass;
+  } else if (text == "none") {
+    options.prefilter = Prefilter::kNone;
+  } else {
+    const char* const end = text.data() + text.size();
+    double& sigma = options.gaussian_sigma_px;
+    const auto [at, error] = std::from_chars(text.data(), end, sigma);
+    if (error != std::errc() || at != end || !(sigma > 0 && sigma <= 10)) {
+      throw UsageError(fmt::format(
+          "--prefilter takes low-pass, none, or the sigma of a Gaussian in px (up to 10), not "
+          "'{}'.",
+          text));
+    }
+    options.prefilter = Prefilter::kGaussian;
+  }
+}
+
 void FieldOptionSet::Declare(OptionTable& options) {
   options.Add({.name = "subset",
                .help = "side (diameter) of the subsets, odd; three speckles or more across",
@@ -64,22 +83,7 @@ FieldOptions FieldOptionSet::Options(std::uint64_t seed) const {
   options.correlator.shape = shape_ == "circle" ? SubsetShape::kCircle : SubsetShape::kSquare;
   options.image.interpolation =
       interpolation_ == "cubic" ? Interpolation::kCubic : Interpolation::kQuintic;
-  if (prefilter_ == "low-pass") {
-    options.image.prefilter = Prefilter::kLowPass;
-  } else if (prefilter_ == "none") {
-    options.image.prefilter = Prefilter::kNone;
-  } else {
-    const char* const end = prefilter_.data() + prefilter_.size();
-    double& sigma = options.image.gaussian_sigma_px;
-    const auto [at, error] = std::from_chars(prefilter_.data(), end, sigma);
-    if (error != std::errc() || at != end || !(sigma > 0 && sigma <= 10)) {
-      throw UsageError(fmt::format(
-          "--prefilter takes low-pass, none, or the sigma of a Gaussian in px (up to 10), not "
-          "'{}'.",
-          prefilter_));
-    }
-    options.image.prefilter = Prefilter::kGaussian;
-  }
+  SetPrefilter(prefilter_, options.image);
   options.verify = !no_verify_;
   options.keep_still_parts = keep_still_parts_;
   options.seeds.features.random_seed = seed;

@@ -9,6 +9,9 @@
 
 namespace plumbline::internal {
 
+// "low-pass", "none", or the sigma of a Gaussian in px. Throws UsageError.
+void SetPrefilter(const std::string& text, CorrelationImageOptions& options);
+
 // The options of subsets and their correlation, the same wherever images are correlated.
 class FieldOptionSet {
  public:

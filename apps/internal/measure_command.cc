@@ -20,6 +20,7 @@
 #include "apps/stereo_run.h"
 #include "calib/error.h"
 #include "io/image_source.h"
+#include "io/series_shard.h"
 #include "io/series_writer.h"
 
 namespace plumbline::internal {
@@ -60,34 +61,39 @@ class SizeGuard {
 };
 
 // "2/4": the second of four parts.
-struct Shard {
-  int index = 1, count = 1;
-
-  static Shard Parse(const std::string& text) {
-    Shard shard;
-    const char* const end = text.data() + text.size();
-    const auto first = std::from_chars(text.data(), end, shard.index);
-    bool good = first.ec == std::errc() && first.ptr != end && *first.ptr == '/';
-    if (good) {
-      const auto second = std::from_chars(first.ptr + 1, end, shard.count);
-      good = second.ec == std::errc() && second.ptr == end;
-    }
-    if (!good || shard.index < 1 || shard.index > shard.count) {
-      throw UsageError(fmt::format(
-          "A shard is its number and how many there are, as 1/4 to 4/4, not '{}'.", text));
-    }
-    return shard;
+SeriesShard ParseShard(const std::string& text) {
+  SeriesShard shard;
+  const char* const end = text.data() + text.size();
+  const auto first = std::from_chars(text.data(), end, shard.index);
+  bool good = first.ec == std::errc() && first.ptr != end && *first.ptr == '/';
+  if (good) {
+    const auto second = std::from_chars(first.ptr + 1, end, shard.count);
+    good = second.ec == std::errc() && second.ptr == end;
   }
-
-  // Whole blocks, as evenly as they can be dealt out.
-  MeasuredRange RangeOf(std::int64_t frames, std::int64_t block) const {
-    const std::int64_t blocks = (frames + block - 1) / block;
-    const auto begin = [&](std::int64_t part) {
-      return std::min(frames, part * blocks / count * block);
-    };
-    return {0, begin(index - 1), begin(index)};
+  if (!good || shard.index < 1 || shard.index > shard.count) {
+    throw UsageError(fmt::format(
+        "A shard is its number and how many there are, as 1/4 to 4/4, not '{}'.", text));
   }
-};
+  --shard.index;
+  return shard;
+}
+
+// The part of the recording that the shard is. Throws InputError where there is none.
+SeriesShard CutOut(const SeriesShard& asked, std::int64_t frames, std::int64_t block_frames) {
+  if (frames < 1) {
+    throw InputError(
+        "The recording does not say how many frames it holds, so that it cannot be cut into "
+        "shards; give --frames with both ends.");
+  }
+  const SeriesShard shard = ShardOf(asked.index, asked.count, frames, block_frames);
+  if (shard.first_frame >= EndOf(shard)) {
+    throw InputError(fmt::format(
+        "Shard {} of {} would hold no frame: the recording has {} frames in blocks of {}; take "
+        "fewer shards or a smaller --block-frames.",
+        asked.index + 1, asked.count, frames, block_frames));
+  }
+  return shard;
+}
 
 class MeasureCommand : public Command {
  public:
@@ -371,8 +377,8 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
   const bool dic = matcher_ == "dic";
   const fs::path output = CheckedOutput(output_, overwrite_ || resume_);
   if (const auto report = FinishedBefore(output, recipe_toml)) return *report;
-  std::optional<Shard> shard;
-  if (!shard_.empty()) shard = Shard::Parse(shard_);
+  std::optional<SeriesShard> shard;
+  if (!shard_.empty()) shard = ParseShard(shard_);
   ForeignCalibrationOptions foreign;
   foreign.length_unit_mm = rig_length_unit_mm_;
   if (!rig_image_size_.empty()) foreign.image_size = ParseImageSize(rig_image_size_);
@@ -397,18 +403,9 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
   }
   MeasuredRange range;
   if (shard) {
-    if (source->DeclaredCount() < 1) {
-      throw InputError(
-          "The recording does not say how many frames it holds, so that it cannot be "
-          "cut into shards; give --frames with both ends.");
-    }
-    range = shard->RangeOf(source->DeclaredCount(), measurement.block_frames);
-    if (range.first_wanted >= *range.end) {
-      throw InputError(fmt::format(
-          "Shard {} of {} would hold no frame: the recording has {} frames in blocks of {}; take "
-          "fewer shards or a smaller --block-frames.",
-          shard->index, shard->count, source->DeclaredCount(), measurement.block_frames));
-    }
+    header.shard = CutOut(*shard, source->DeclaredCount(), measurement.block_frames);
+    range.first_wanted = header.shard->first_frame;
+    range.end = EndOf(*header.shard);
   }
 
   const InterruptGuard guard;

@@ -25,6 +25,7 @@ class EvaluationOptionSet {
   const GroundPlaneOptions& ground() const { return ground_; }
   bool in_ground_frame() const { return frame_ == "ground"; }
   bool point_covariance() const { return point_covariance_; }
+  StrainOptionSet& strain() { return strain_; }
 
  private:
   GroundPlaneOptions ground_;

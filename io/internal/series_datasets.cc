@@ -36,6 +36,7 @@ constexpr const char* kShardIndex = "shard_index";
 constexpr const char* kShardCount = "shard_count";
 constexpr const char* kShardFirstFrame = "shard_first_frame";
 constexpr const char* kShardFrameCount = "shard_frame_count";
+constexpr const char* kShardBlock = "shard_block_frames";
 
 }  // namespace
 
@@ -45,6 +46,7 @@ void WriteShardAttributes(hid_t file, const std::optional<SeriesShard>& shard) {
   hdf5::SetInteger(file, kShardCount, shard->count);
   hdf5::SetInteger(file, kShardFirstFrame, shard->first_frame);
   hdf5::SetInteger(file, kShardFrameCount, shard->frame_count);
+  hdf5::SetInteger(file, kShardBlock, shard->block_frames);
 }
 
 std::optional<SeriesShard> ReadShardAttributes(hid_t file) {
@@ -58,15 +60,17 @@ std::optional<SeriesShard> ReadShardAttributes(hid_t file) {
   };
   const SeriesShard shard{static_cast<int>(whole(kShardIndex, 1e6)),
                           static_cast<int>(whole(kShardCount, 1e6)), whole(kShardFirstFrame, 1e15),
-                          whole(kShardFrameCount, 1e15)};
-  if (shard.index >= shard.count || shard != ShardOf(shard.index, shard.count, shard.frame_count)) {
+                          whole(kShardFrameCount, 1e15), whole(kShardBlock, 1e15)};
+  if (shard.index >= shard.count || shard.block_frames < 1 ||
+      shard != ShardOf(shard.index, shard.count, shard.frame_count, shard.block_frames)) {
     throw hdf5::Error("the attributes of the shard contradict each other");
   }
   return shard;
 }
 
 void RemoveShardAttributes(hid_t file) {
-  for (const char* name : {kShardIndex, kShardCount, kShardFirstFrame, kShardFrameCount}) {
+  for (const char* name :
+       {kShardIndex, kShardCount, kShardFirstFrame, kShardFrameCount, kShardBlock}) {
     if (hdf5::HasAttribute(file, name)) hdf5::Check(H5Adelete(file, name), "removing an attribute");
   }
 }

@@ -118,7 +118,9 @@ bool IsStrainAxes(const std::string& text) {
 }
 
 void CheckShard(const std::optional<SeriesShard>& shard) {
-  if (!shard || *shard == ShardOf(shard->index, shard->count, shard->frame_count)) return;
+  if (!shard ||
+      *shard == ShardOf(shard->index, shard->count, shard->frame_count, shard->block_frames))
+    return;
   throw std::invalid_argument("the header's shard is not one of ShardOf()");
 }
 

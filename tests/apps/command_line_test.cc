@@ -73,8 +73,8 @@ TEST(CommandLine, WrongUsageIsExitCodeTwo) {
   ExpectComplaint("measure --left a --right b", 2, "--rig is missing");
   ExpectComplaint("measure --rig r --left a --right b --step 0", 2,
                   "--step takes a whole number of px from 1");
-  ExpectComplaint("measure --rig r --left a --right b --matcher dic", 2,
-                  "--matcher takes sgbm, not 'dic'");
+  ExpectComplaint("measure --rig r --left a --right b --matcher orb", 2,
+                  "--matcher takes sgbm or dic, not 'orb'");
   ExpectComplaint("measure --rig r --left a --right b --roi 1,2,3", 2, "A region is x,y,w,h");
   ExpectComplaint("measure --rig r --left a --right b --min-distance 300", 2, "together");
   ExpectComplaint("measure --rig r a.png b.png", 2, "one word too many");

@@ -9,11 +9,16 @@ using std::chrono::duration;
 
 TEST(Progress, TellsShareAndEstimate) {
   EXPECT_EQ(ProgressText("measuring", 3, 12, duration<double>(10), 0),
-            "measuring  3/12  25 %, about 30 s left");
+            "measuring  3/12  25 %, 0.3/s, about 30 s left");
   EXPECT_EQ(ProgressText("measuring", 12, 12, duration<double>(95), 0),
             "measuring  12/12  100 %, took 1 min 35 s");
   EXPECT_EQ(ProgressText("x", 1, 2, duration<double>(1), 4),
-            "x  [##..]  1/2  50 %, about 1 s left");
+            "x  [##..]  1/2  50 %, 1/s, about 1 s left");
+}
+
+TEST(Progress, TellsADetailBesideTheCount) {
+  EXPECT_EQ(ProgressText("measuring", 3, 12, duration<double>(10), 0, "97.2 % valid"),
+            "measuring  3/12  25 %, 0.3/s, 97.2 % valid, about 30 s left");
 }
 
 TEST(Progress, PromisesNothingBeforeTheFirstStepOrWithoutATotal) {

@@ -38,7 +38,7 @@ inline StereoRig ConvergentRig(ImageSize size, double focal_px, double distance_
 struct SpeckledSheet {
   Rigid3 rig_from_sheet;  // the sheet's z points away from the cameras
   Eigen::Matrix2d stretch = Eigen::Matrix2d::Identity();  // from material to the sheet, mm
-  double radius_mm = 0;  // of the cylinder, which bulges towards the cameras; 0: flat
+  double radius_mm = 0;     // of the cylinder, which bulges towards the cameras; 0: flat
   double px_per_mm = 3.75;  // of the speckle pattern; as the cameras see it, or less
 
   // The place in the rig frame of a material point.
