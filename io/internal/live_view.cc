@@ -84,13 +84,13 @@ LiveView::LiveView(const fs::path& series, const SeriesShape& shape, JournalPlac
 LiveView::~LiveView() { impl_->Collect(); }
 
 void LiveView::Committed(JournalPlace end) {
-  if (!(impl_->options.every_s > 0) || !impl_->problem.empty() || !impl_->IsDue()) return;
+  if (!(impl_->options.every_s > 0)) return;
   if (impl_->task.valid() &&
       impl_->task.wait_for(std::chrono::seconds(0)) != std::future_status::ready) {
     return;
   }
   impl_->Collect();
-  if (!impl_->problem.empty()) return;
+  if (!impl_->problem.empty() || !impl_->IsDue()) return;
   impl_->last = Clock::now();
   impl_->task = std::async(std::launch::async, [impl = impl_.get(), end]() -> std::string {
     const auto start = Clock::now();

@@ -201,7 +201,7 @@ void SeriesRun::Commit(std::span<const std::uint8_t> record) {
   impl_->journal->Append(record);
   ++impl_->committed;
   impl_->last_index = IndexOfRecord(record);
-  impl_->live->Committed(impl_->journal->end());
+  if (impl_->live) impl_->live->Committed(impl_->journal->end());
 }
 
 void SeriesRun::Close() {
