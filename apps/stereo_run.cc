@@ -29,21 +29,18 @@ double SecondsSince(std::chrono::steady_clock::time_point begin) {
 
 // The rig against the seeds of the reference pair, which were found without it.
 void CheckRig(const StereoSeeds& seeds, double max_epipolar_px) {
-  constexpr std::int64_t kEnough = 12;  // seeds that a verdict can rest on
-  if (seeds.found < kEnough) return;
-  if (2 * seeds.behind_camera > seeds.found) {
+  if (!seeds.ContradictRig()) return;
+  if (seeds.behind_camera > seeds.off_epipolar) {
     throw InputError(fmt::format(
         "Of {} places found in both images of the reference pair, {} would lie behind the cameras: "
         "left and right are swapped, or the rig file is that of other cameras.",
         seeds.found, seeds.behind_camera));
   }
-  if (2 * seeds.off_epipolar > seeds.found) {
-    throw InputError(fmt::format(
-        "Of {} places found in both images of the reference pair, {} lie more than {:g} px from "
-        "their epipolar lines: the rig file is that of other cameras, the cameras have moved since "
-        "it was made (calibrate again), or left and right are swapped.",
-        seeds.found, seeds.off_epipolar, max_epipolar_px));
-  }
+  throw InputError(fmt::format(
+      "Of {} places found in both images of the reference pair, {} lie more than {:g} px from "
+      "their epipolar lines: the rig file is that of other cameras, the cameras have moved since "
+      "it was made (calibrate again), or left and right are swapped.",
+      seeds.found, seeds.off_epipolar, max_epipolar_px));
 }
 
 }  // namespace

@@ -184,6 +184,7 @@ StereoSeeds FindStereoSeeds(const StereoRig& rig, const GrayImage& left, const G
   if (left.size() == right.size()) {
     result.seeds = FindSeeds(left, right, mask, options.seeds);
     KeepEpipolar(rig, options.max_epipolar_px, result);
+    if (result.ContradictRig()) return result;
   }
   const Coverage coverage =
       CoverageOf(result.seeds, left.size(), mask, options.seeds.fft.spacing_px);

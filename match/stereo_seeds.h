@@ -1,5 +1,6 @@
 #pragma once
 
+#include <algorithm>
 #include <cstdint>
 #include <optional>
 #include <vector>
@@ -35,6 +36,13 @@ struct StereoSeeds {
   std::int64_t behind_camera = 0;  // seeds whose rays meet behind a camera
   std::int64_t found = 0;          // all of them
   bool from_disparity = false;     // whether the rectified pair was matched
+
+  // Whether most of what was found contradicts the rig (then nothing else was looked for): it is
+  // that of other cameras, or left and right are swapped.
+  bool ContradictRig() const {
+    constexpr std::int64_t kEnough = 12;
+    return found >= kEnough && 2 * std::max(off_epipolar, behind_camera) > found;
+  }
 };
 
 // Finds where the correlation of a stereo pair can start, without settings of the user: by FFT and
@@ -45,7 +53,7 @@ struct StereoSeeds {
 //
 // mask: of the left image, 0 where a pixel is not to be used; may be null.
 // Throws: UsageError from options.Check(); InputError when the images are not of the cameras'
-//         sizes, or the cameras have no view in common.
+//         sizes, or nothing is found and the rectified pair cannot be matched either, with why.
 // The result does not depend on the number of threads.
 [[nodiscard]] StereoSeeds FindStereoSeeds(const StereoRig& rig, const GrayImage& left,
                                           const GrayImage& right,

@@ -62,7 +62,8 @@ class EpipolarTrend {
       for (std::size_t n = 0; n < values.size(); ++n) {
         off[n] = std::abs(values[n] - Common(places[n]));
       }
-      const double limit = 3 * 1.4826 * Median(off) + 1e-9;
+      scatter_ = 1.4826 * Median(off);
+      const double limit = 3 * scatter_ + 1e-9;
       Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
       Eigen::Vector3d rhs = Eigen::Vector3d::Zero();
       for (std::size_t n = 0; n < values.size(); ++n) {
@@ -78,6 +79,7 @@ class EpipolarTrend {
   }
 
   double Common(std::size_t i) const { return plane_.dot(Row(i)); }
+  double scatter() const { return scatter_; }  // about it, robust
 
  private:
   Eigen::Vector3d Row(std::size_t i) const {
@@ -87,6 +89,7 @@ class EpipolarTrend {
 
   int columns_;
   Eigen::Vector3d plane_{0, 0, 0};
+  double scatter_ = 0;
 };
 
 StereoSurface EmptySurface(ImageSize size) {
@@ -176,7 +179,8 @@ void RejectMismatches(const EpipolarOptions& options, StereoSurface& surface) {
     if (surface.status.data()[i] != Status::kOk) continue;
     const auto off = static_cast<double>(surface.epipolar_px.data()[i]);
     const auto sigma = static_cast<double>(surface.sigma_epipolar_px.data()[i]);
-    if (!(std::abs(off - trend.Common(i)) <= options.tolerance_px + options.sigmas * sigma)) {
+    const double limit = options.tolerance_px + options.sigmas * std::hypot(sigma, trend.scatter());
+    if (!(std::abs(off - trend.Common(i)) <= limit)) {
       surface.status.data()[i] = Status::kEpipolarViolation;
       TakeBack(surface.instant, i);
       continue;

@@ -46,9 +46,10 @@ struct MeasurementFrame {
 Image<Eigen::Vector3f> UnitCovariance(const StereoField& reference, const StereoField& now);
 
 struct EpipolarOptions {
-  // A point further from its epipolar line than the others about it, by this and so many sigmas, is
-  // mismatched. What all points have in common is the cameras', not the match's.
-  double tolerance_px = 0.3;
+  // A point further from its epipolar line than the trend of all points, by this and so many sigmas
+  // (its own and the points' scatter about the trend together), is mismatched: a subset that lies
+  // half on something else, say. What all points have in common is the cameras', not the match's.
+  double tolerance_px = 0.02;
   double sigmas = 5;
 };
 

@@ -27,12 +27,13 @@ void EvaluationOptionSet::DeclareGround(OptionTable& options) {
 }
 
 void EvaluationOptionSet::Declare(OptionTable& options) {
-  options.Add({.name = "epipolar-tolerance",
-               .help = "distance from its epipolar line, beyond that of the points about it and 5 "
-                       "sigmas, at which a point is a mismatch",
-               .unit = "px",
-               .min = 0},
-              &epipolar_.tolerance_px);
+  options.Add(
+      {.name = "epipolar-tolerance",
+       .help = "distance from its epipolar line, beyond the trend of all points and 5 sigmas, at "
+               "which a point is a mismatch",
+       .unit = "px",
+       .min = 0},
+      &epipolar_.tolerance_px);
   options.Add({.name = "remove-rigid-motion",
                .help = "take the rigid motion of the whole surface out of the displacements (it is "
                        "stored in any case)"},
