@@ -141,6 +141,7 @@ struct SurfaceEvaluation::Impl {
   std::size_t PoseModes() const {
     return options.refinement == PoseRefinement::kOff ? 0 : internal::RigWatch::kPoseModes;
   }
+  void KeepReferencePoints(StereoSurface& surface) const;
   SeriesFrame FrameOf(const StereoField& field, const StereoSurface& surface,
                       const SurfaceState& instant, const Image<Eigen::Vector3f>& unit) const;
 
@@ -248,6 +249,16 @@ StereoSurface SurfaceEvaluation::Impl::SurfaceOf(const internal::RigWatch::Verdi
   StereoSurface surface = TriangulateField(verdict.rig, field, of_match, options.epipolar);
   AddModes(field, verdict, surface);
   return surface;
+}
+
+// A point that the reference pair rejected is none that anything could be told of later.
+void SurfaceEvaluation::Impl::KeepReferencePoints(StereoSurface& surface) const {
+  for (std::size_t i = 0; i < surface.status.pixel_count(); ++i) {
+    const Status before = reference_surface.status.data()[i];
+    if (before == Status::kOk || surface.status.data()[i] != Status::kOk) continue;
+    surface.status.data()[i] = before;
+    surface.instant.point_mm.data()[i].setConstant(kNone);
+  }
 }
 
 // The plane of the points, in the rig frame, and its record with both covariances.
@@ -390,7 +401,8 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s)
   const Image<Eigen::Vector3f> unit = UnitCovariance(impl.reference, field);
   const internal::RigWatch::Verdict verdict =
       impl.watch.Later(ObservationsOf(field, unit, impl.watch_stride));
-  const StereoSurface surface = impl.SurfaceOf(verdict, field, unit);
+  StereoSurface surface = impl.SurfaceOf(verdict, field, unit);
+  impl.KeepReferencePoints(surface);
   const SurfaceState instant = InFrame(surface.instant, impl.frame);
   SeriesFrame out = impl.FrameOf(field, surface, instant, unit);
   if (std::none_of(surface.status.values().begin(), surface.status.values().end(),

@@ -25,10 +25,14 @@ Pairs PairUp(const SeriesFrame& frame, const Image<Eigen::Vector2f>& grid_px,
   const bool in_ground = surface.frame == SurfaceFrame::kGround;
   const Rigid3 frame_from_rig = in_ground ? frame.ground.ground_from_rig : Rigid3();
   const Rigid3 rig_from_true_ground = truth.ground_from_rig().Inverse();
+  // Material points are elsewhere in the left image by now.
+  const bool follows = !frame.match.left_displacement_px.empty();
   std::vector<std::optional<Eigen::Vector3d>> found(surface.status.pixel_count());
   tbb::parallel_for(std::size_t{0}, found.size(), [&](std::size_t i) {
     if (surface.status.data()[i] != Status::kOk) return;
-    const auto point = truth.UnderLeftPixel(grid_px.data()[i].cast<double>());
+    Eigen::Vector2d pixel = grid_px.data()[i].cast<double>();
+    if (follows) pixel += frame.match.left_displacement_px.data()[i].cast<double>();
+    const auto point = truth.UnderLeftPixel(pixel);
     if (point) found[i] = frame_from_rig * (rig_from_true_ground * point->position_mm);
   });
   Pairs pairs;

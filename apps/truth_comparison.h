@@ -36,7 +36,8 @@ struct TruthComparison {
 };
 
 // `measured` with its grid of left pixels (row, col); `truth` of the same exposure. The truth is
-// evaluated at each measured point's own pixel: nothing is interpolated.
+// evaluated at each measured point's own pixel, where its matches say that it is by now: nothing is
+// interpolated.
 TruthComparison CompareWithTruth(const SeriesFrame& measured, const Image<Eigen::Vector2f>& grid_px,
                                  const TrueFrame& truth);
 

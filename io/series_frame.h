@@ -222,7 +222,8 @@ struct SlipRecord {
 };
 
 // The rigid motion of the whole surface since the reference, as /rigid_motion holds it:
-// now_from_reference, in Surface::frame. Where it was found, both vectors are numbers.
+// in Surface::frame: a turn about the centroid of the points, and the way of the centroid. Where it
+// was found, both vectors are numbers.
 struct RigidMotionRecord {
   bool found = false;
   std::string problem;                                                     // why not

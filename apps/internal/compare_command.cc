@@ -100,6 +100,12 @@ class CompareCommand : public Command {
       throw InputError(fmt::format("'{}' was not measured from '{}': its images have another size.",
                                    run_, folder_));
     }
+    if (run.grid_points() == "material" && !run.contents().matches) {
+      throw InputError(fmt::format(
+          "'{}' follows material points and does not say where they are in its images: measure "
+          "without --no-matches.",
+          run_));
+    }
     const Image<Eigen::Vector2f> grid_px = run.grid_px();
     CommandReport report;
     report.text = kHead;

@@ -262,11 +262,11 @@ RecordGroup RigidMotionGroup() {
   group.axes = {Components({"x", "y", "z"})};
   GroupBuilder<M> add(std::move(group), &SeriesFrame::rigid_motion);
   add.Measured({"rotation", "rad",
-                "rotation of the whole surface since the reference, axis times angle; with the "
-                "translation: now_from_reference"},
+                "rotation of the whole surface since the reference, axis times angle; about its "
+                "centroid"},
                &M::rotation_rad, &M::sigma_random_rotation_rad, &M::sigma_calibration_rotation_rad,
                {"component"}, true);
-  add.Measured({"translation", "mm", "translation of the whole surface since the reference"},
+  add.Measured({"translation", "mm", "way of the whole surface's centroid since the reference"},
                &M::translation_mm, &M::sigma_random_translation_mm,
                &M::sigma_calibration_translation_mm, {"component"}, true);
   return add.Take();
