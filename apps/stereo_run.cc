@@ -107,6 +107,10 @@ std::vector<std::string> StereoRun::Notes() const {
   return notes;
 }
 
+double StereoRun::correlation_area_points() const {
+  return impl_->evaluation->correlation_area_points();
+}
+
 bool StereoRun::Impl::Begin(const StereoFrame& pair, std::int64_t position) {
   if (options.sequence.strategy != StereoStrategy::kIncremental &&
       position / options.block_frames != block) {

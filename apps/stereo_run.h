@@ -51,6 +51,7 @@ class StereoRun {
   SeriesHeader Header() const;
   // What the user should know of how the reference pair was matched, one sentence each.
   std::vector<std::string> Notes() const;
+  double correlation_area_points() const;  // of SurfaceEvaluation
 
   // The next pair; `position`: its place in the whole sequence of pairs, from 0, bad ones counted.
   // Positions only grow, and none of a block is left out once it was begun. A pair with a problem

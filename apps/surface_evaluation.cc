@@ -437,6 +437,8 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s)
 
 void SurfaceEvaluation::Restart() { impl_->previous.reset(); }
 
+double SurfaceEvaluation::correlation_area_points() const { return impl_->correlation_area; }
+
 SurfaceSummary SurfaceEvaluation::Summarise(const SeriesFrame& frame) const {
   SurfaceSummary summary;
   const auto count = [](const Image<Status>& statuses, auto&& wanted) {

@@ -84,6 +84,10 @@ class SurfaceEvaluation {
 
   SurfaceSummary Summarise(const SeriesFrame& frame) const;
 
+  // How many neighbouring points share one noise: the sum of the correlations of a point with all
+  // others, the mean over the grid.
+  double correlation_area_points() const;
+
  private:
   struct Impl;
   std::unique_ptr<Impl> impl_;

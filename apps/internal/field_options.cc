@@ -27,7 +27,7 @@ void SetPrefilter(const std::string& text, CorrelationImageOptions& options) {
   }
 }
 
-void FieldOptionSet::Declare(OptionTable& options) {
+void FieldOptionSet::Declare(OptionTable& options, bool noise_file) {
   options.Add({.name = "subset",
                .help = "side (diameter) of the subsets, odd; three speckles or more across",
                .unit = "px",
@@ -62,12 +62,14 @@ void FieldOptionSet::Declare(OptionTable& options) {
               &correlator_.max_sigma_px);
   options.Add({.name = "max-iterations", .help = "of a subset", .min = 1, .max = 255},
               &correlator_.max_iterations);
-  options.Add(
-      {.name = "noise",
-       .help = "noise of the cameras, as plumbline noise writes it; empty: from the residual "
-               "of each subset",
-       .unit = "FILE"},
-      &noise_);
+  if (noise_file) {
+    options.Add(
+        {.name = "noise",
+         .help = "noise of the cameras, as plumbline noise writes it; empty: from the residual "
+                 "of each subset",
+         .unit = "FILE"},
+        &noise_);
+  }
   options.Add({.name = "no-verify",
                .help = "do not check points by a match backwards, nor against their neighbours"},
               &no_verify_);

@@ -15,7 +15,8 @@ void SetPrefilter(const std::string& text, CorrelationImageOptions& options);
 // The options of subsets and their correlation, the same wherever images are correlated.
 class FieldOptionSet {
  public:
-  void Declare(OptionTable& options);
+  // noise_file: whether --noise is one of them.
+  void Declare(OptionTable& options, bool noise_file = true);
 
   // With the grid's step left to the caller. Throws UsageError.
   FieldOptions Options(std::uint64_t seed) const;

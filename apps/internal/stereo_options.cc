@@ -1,5 +1,7 @@
 #include "apps/internal/stereo_options.h"
 
+#include <algorithm>
+
 #include "calib/error.h"
 #include "io/noise_file.h"
 
@@ -71,8 +73,8 @@ SurfaceEvaluationOptions EvaluationOptionSet::Options(std::uint64_t seed) const 
   return options;
 }
 
-void StereoOptionSet::Declare(OptionTable& options) {
-  matching_.Declare(options);
+void StereoOptionSet::Declare(OptionTable& options, bool noise_file) {
+  matching_.Declare(options, noise_file);
   options.Add({.name = "strategy",
                .help = "how points are followed: reference (the reference subset is found in both "
                        "later images), fresh-stereo (it is followed on the left, and each left "
@@ -107,15 +109,16 @@ void StereoOptionSet::Declare(OptionTable& options) {
               &no_matches_);
 }
 
+StereoStrategy StereoOptionSet::strategy() const {
+  const auto found = std::find(kStereoStrategyNames.begin(), kStereoStrategyNames.end(), strategy_);
+  return static_cast<StereoStrategy>(found - kStereoStrategyNames.begin());
+}
+
 StereoRunOptions StereoOptionSet::Options(std::uint64_t seed, int bits, int step_px,
                                           const SurfaceEvaluationOptions& evaluation) const {
   StereoRunOptions options;
   options.sequence = sequence_;
-  for (std::size_t i = 0; i < kStereoStrategyNames.size(); ++i) {
-    if (strategy_ == kStereoStrategyNames[i]) {
-      options.sequence.strategy = static_cast<StereoStrategy>(i);
-    }
-  }
+  options.sequence.strategy = strategy();
   options.sequence.follow_curvature = !no_curvature_;
   options.sequence.field = matching_.Options(seed);
   options.sequence.field.step_px = step_px;

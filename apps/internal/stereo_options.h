@@ -25,6 +25,7 @@ class EvaluationOptionSet {
   const GroundPlaneOptions& ground() const { return ground_; }
   bool in_ground_frame() const { return frame_ == "ground"; }
   bool point_covariance() const { return point_covariance_; }
+  bool remove_rigid_motion() const { return remove_rigid_motion_; }
   StrainOptionSet& strain() { return strain_; }
 
  private:
@@ -40,13 +41,16 @@ class EvaluationOptionSet {
 // The matching of stereo-DIC.
 class StereoOptionSet {
  public:
-  void Declare(OptionTable& options);
+  // noise_file: as FieldOptionSet's.
+  void Declare(OptionTable& options, bool noise_file = true);
 
   // `bits`: of the images, for the noise. Region and mask are left to the caller. Throws
   // UsageError; InputError where the noise file cannot be read.
   StereoRunOptions Options(std::uint64_t seed, int bits, int step_px,
                            const SurfaceEvaluationOptions& evaluation) const;
 
+  StereoStrategy strategy() const;
+  bool stores_matches() const { return !no_matches_; }
   int block_frames() const { return block_frames_; }
   const std::string& noise() const { return matching_.noise(); }
 

@@ -61,7 +61,7 @@ TEST(NoiseCommand, KeepsTheOtherCamera) {
       " --images " + f.string() + " -q -o " + (f / "rig.toml").string() + " --camera ";
   EXPECT_EQ(RunPlumbline("noise" + rest + "left").exit_code, 0);
   EXPECT_EQ(RunPlumbline("noise" + rest + "right").exit_code, 0);
-  EXPECT_EQ(ReadNoiseFile(f / "rig.toml").size(), 2u);
+  EXPECT_EQ(ReadNoiseFile(f / "rig.toml").cameras.size(), 2u);
 }
 
 TEST(NoiseCommand, LeavesADamagedFrameOutAndNamesIt) {
@@ -93,7 +93,7 @@ TEST(SpeckleCommand, PredictsWithTheNoiseItIsGiven) {
   WritePng(image, Photograph(1, 1));
   CameraNoise noise;
   noise.model = {4, 0};
-  WriteNoiseFile(f / "noise.toml", {{"camera", noise}});
+  WriteNoiseFile(f / "noise.toml", {{{"camera", noise}}, {}});
   const auto sigma = [&](const std::string& options) {
     const CommandResult result = RunPlumbline("speckle " + image + " --json -q " + options);
     return nlohmann::json::parse(result.output)["median_sigma_px"].get<double>();

@@ -43,7 +43,7 @@ std::string Refusal(const fs::path& path, const std::string& camera = "camera") 
 TEST(NoiseFile, ReadsBackWhatItWrote) {
   const fs::path path = TestFolder() / "noise.toml";
   const CameraNoise noise = SomeNoise();
-  WriteNoiseFile(path, {{"camera", noise}});
+  WriteNoiseFile(path, {{{"camera", noise}}, {}});
   const CameraNoise read = ReadCameraNoise(path, "left");  // one camera answers to any name
   EXPECT_EQ(read.model.offset_grey2, noise.model.offset_grey2);
   EXPECT_EQ(read.model.slope_grey, noise.model.slope_grey);
@@ -59,10 +59,78 @@ TEST(NoiseFile, KeepsTheCamerasOfARigApart) {
   const fs::path path = TestFolder() / "noise.toml";
   CameraNoise right = SomeNoise();
   right.model.slope_grey = 7;
-  WriteNoiseFile(path, {{"left", SomeNoise()}, {"right", right}});
+  WriteNoiseFile(path, {{{"left", SomeNoise()}, {"right", right}}, {}});
   EXPECT_EQ(ReadCameraNoise(path, "right").model.slope_grey, 7);
   EXPECT_EQ(ReadCameraNoise(path, "left").model.slope_grey, SomeNoise().model.slope_grey);
   EXPECT_THAT(Refusal(path), HasSubstr("(left, right)"));
+}
+
+NoiseFloor SomeFloor() {
+  NoiseFloor floor;
+  floor.frames = 4;
+  floor.points = 3078;
+  floor.strain_points = 2518;
+  floor.step_px = 8;
+  floor.subset_px = 29;
+  floor.vsg_px = 93;
+  floor.frame = "ground";
+  floor.strain_measure = "hencky";
+  double number = 1.0 / 3;
+  const auto fill = [&](auto& components) {
+    for (FloorComponent& c : components) {
+      c = {number, 1.1 * number, 0.02, 3 * number, 0.7 * number, 0.8 * number};
+      number /= 2;
+    }
+  };
+  fill(floor.left_px);
+  fill(floor.right_px);
+  fill(floor.displacement_mm);
+  fill(floor.strain.emplace());
+  return floor;
+}
+
+TEST(NoiseFile, KeepsTheFloor) {
+  const fs::path path = TestFolder() / "noise.toml";
+  NoiseFloor floor = SomeFloor();
+  const auto expect_same = [](const auto& read, const auto& written) {
+    for (std::size_t i = 0; i < written.size(); ++i) {
+      EXPECT_EQ(read[i].noise, written[i].noise);
+      EXPECT_EQ(read[i].predicted, written[i].predicted);
+      EXPECT_EQ(read[i].sigma_ratio, written[i].sigma_ratio);
+      EXPECT_EQ(read[i].common, written[i].common);
+      EXPECT_EQ(read[i].bias, written[i].bias);
+      EXPECT_EQ(read[i].predicted_bias, written[i].predicted_bias);
+    }
+  };
+  WriteNoiseFile(path, {{{"left", SomeNoise()}, {"right", SomeNoise()}}, floor});
+  // Written again as it was read: nothing is lost on the way.
+  WriteNoiseFile(path, ReadNoiseFile(path));
+  const NoiseFile file = ReadNoiseFile(path);
+  EXPECT_EQ(file.cameras.size(), 2u);
+  ASSERT_TRUE(file.floor && file.floor->strain);
+  EXPECT_EQ(file.floor->frames, 4);
+  EXPECT_EQ(file.floor->points, 3078);
+  EXPECT_EQ(file.floor->strain_points, 2518);
+  EXPECT_EQ(file.floor->step_px, 8);
+  EXPECT_EQ(file.floor->subset_px, 29);
+  EXPECT_EQ(file.floor->vsg_px, 93);
+  EXPECT_EQ(file.floor->frame, "ground");
+  EXPECT_EQ(file.floor->strain_measure, "hencky");
+  expect_same(file.floor->left_px, floor.left_px);
+  expect_same(file.floor->right_px, floor.right_px);
+  expect_same(file.floor->displacement_mm, floor.displacement_mm);
+  expect_same(*file.floor->strain, *floor.strain);
+
+  floor.strain.reset();
+  WriteNoiseFile(path, {{{"left", SomeNoise()}, {"right", SomeNoise()}}, floor});
+  EXPECT_FALSE(ReadNoiseFile(path).floor->strain);
+  EXPECT_EQ(ReadCameraNoise(path, "right").frames, 10);
+
+  std::ostringstream good;
+  good << std::ifstream(path).rdbuf();
+  std::string text = good.str();
+  std::ofstream(path) << text.replace(text.find("predicted = ["), 13, "predicted = [nan, ");
+  EXPECT_THAT(Refusal(path), HasSubstr("[floor.left_px] needs predicted"));
 }
 
 TEST(NoiseFile, ScalesToOtherBits) {
@@ -74,7 +142,7 @@ TEST(NoiseFile, ScalesToOtherBits) {
 TEST(NoiseFile, SaysWhatIsWrong) {
   const fs::path path = TestFolder() / "noise.toml";
   EXPECT_THAT(Refusal(path), HasSubstr("There is no noise file"));
-  WriteNoiseFile(path, {{"camera", SomeNoise()}});
+  WriteNoiseFile(path, {{{"camera", SomeNoise()}}, {}});
   std::ostringstream good;
   good << std::ifstream(path).rdbuf();
   const auto changed = [&](const std::string& from, const std::string& to) {
