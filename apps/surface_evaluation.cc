@@ -19,6 +19,7 @@
 #include "calib/mode_triangulation.h"
 #include "calib/triangulate.h"
 #include "track/surface_motion.h"
+#include "track/surface_plane.h"
 
 namespace plumbline {
 namespace {
@@ -71,17 +72,17 @@ PlanePoints PointsForPlane(const SurfaceState& in_rig, const Image<Eigen::Vector
   return points;
 }
 
-// How many points of a lattice of this stride share one noise: the sum of the correlations of one
-// point with all others, the mean over the field.
-double CorrelationArea(const NeighbourCorrelation& neighbours, ImageSize grid, int stride) {
+// How many points share one noise: the sum of the correlations of one point with all others, the
+// mean over the field.
+double CorrelationArea(const NeighbourCorrelation& neighbours, ImageSize grid) {
   constexpr int kSamples = 12;  // along each axis
   double sum = 0;
   int count = 0;
-  const int reach = neighbours.reach() / stride * stride;
+  const int reach = neighbours.reach();
   for (int r = 0; r < grid.height; r += std::max(1, grid.height / kSamples)) {
     for (int c = 0; c < grid.width; c += std::max(1, grid.width / kSamples)) {
-      for (int dr = -reach; dr <= reach; dr += stride) {
-        for (int dc = -reach; dc <= reach; dc += stride) {
+      for (int dr = -reach; dr <= reach; ++dr) {
+        for (int dc = -reach; dc <= reach; ++dc) {
           sum += static_cast<double>(neighbours.Between(r, c, dr, dc).trace()) / 2;
         }
       }
@@ -177,8 +178,8 @@ SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCo
   watch_stride =
       std::max(1, (reference.left.subset_px + reference.left.step_px - 1) / reference.left.step_px);
   plane_stride = std::max(1, reference.left.subset_px / (2 * reference.left.step_px));
-  correlation_area = CorrelationArea(neighbours, grid, 1);
-  options.ground.correlation_area_points = CorrelationArea(neighbours, grid, plane_stride);
+  correlation_area = CorrelationArea(neighbours, grid);
+  options.ground.correlation_area_points = 1;
   unit = UnitCovariance(reference, reference);
   const internal::RigWatch::Verdict verdict =
       watch.Reference(ObservationsOf(reference, unit, watch_stride));
@@ -273,6 +274,9 @@ std::optional<GroundPlane> SurfaceEvaluation::Impl::PlaneOf(
     record.problem = error.what();
     return found;
   }
+  found->cov = std::max(1.0, found->scatter_ratio * found->scatter_ratio) *
+               PlaneCovariance(*found, points.point_mm, points.cov_mm2, points.places,
+                               in_rig.size(), neighbours);
   record = internal::GroundRecordOf(
       *found, GroundFromRig(*found, Eigen::Vector3d::Zero(), found->centroid));
   if (in_rig.along_modes_mm.empty()) return found;
@@ -282,8 +286,7 @@ std::optional<GroundPlane> SurfaceEvaluation::Impl::PlaneOf(
     for (std::size_t n = 0; n < moved.size(); ++n) {
       moved[n] = points.point_mm[n] + mode.data()[points.places[n]].cast<double>();
     }
-    const GroundPlane there =
-        RefitPlane(moved, points.cov_mm2, found->inlier, options.ground.correlation_area_points);
+    const GroundPlane there = RefitPlane(moved, points.cov_mm2, found->inlier);
     const Eigen::Vector3d difference = PlaneDifference(*found, there);
     record.cov_calibration += difference * difference.transpose();
     if (along_modes != nullptr) along_modes->push_back(there);

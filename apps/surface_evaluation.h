@@ -25,7 +25,7 @@ enum class PoseRefinement : std::uint8_t {
 
 struct SurfaceEvaluationOptions {
   EpipolarOptions epipolar;
-  GroundPlaneOptions ground;  // correlation_area_points is taken from the matches
+  GroundPlaneOptions ground;  // without correlation_area_points: see PlaneCovariance()
   // Positions and displacements are told in the ground frame of the reference pair, where a plane
   // is found in it; else, or with false, in the rig frame.
   bool turn_into_ground_frame = true;

@@ -198,8 +198,9 @@ StereoSeeds FindStereoSeeds(const StereoRig& rig, const GrayImage& left, const G
     result.seeds.insert(result.seeds.end(), more.begin(), more.end());
     result.from_disparity = true;
   } catch (const InputError&) {
-    // The rectified pair cannot be matched: what features gave has to do.
-    if (result.seeds.empty()) throw;
+    // The rectified pair cannot be matched: what features gave has to do, and if that is nothing
+    // but contradictions of the rig, they are the better answer.
+    if (result.found == 0) throw;
   }
   return result;
 }

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <Eigen/Geometry>
+#include <Eigen/LU>
 #include <cmath>
 #include <cstdint>
 #include <functional>
@@ -99,5 +100,32 @@ struct SpeckledSheet {
         noise_grey, noise_seed, options);
   }
 };
+
+// Green-Lagrange strain (xx, yy, xy) of one sheet since another, within its tangent plane at a
+// material point: x along the projection of `x_in_rig`, y = n x x, n towards the cameras.
+inline Eigen::Vector3d TrueStrain(const SpeckledSheet& before, const SpeckledSheet& now,
+                                  const Eigen::Vector2d& material_mm,
+                                  const Eigen::Vector3d& x_in_rig) {
+  const auto tangents = [&](const SpeckledSheet& sheet) {
+    constexpr double kStep_mm = 1e-3;
+    Eigen::Matrix<double, 3, 2> t;
+    for (int k = 0; k < 2; ++k) {
+      const Eigen::Vector2d step = kStep_mm * Eigen::Vector2d::Unit(k);
+      t.col(k) = (sheet.PointInRig(material_mm + step) - sheet.PointInRig(material_mm - step)) /
+                 (2 * kStep_mm);
+    }
+    return t;
+  };
+  const Eigen::Matrix<double, 3, 2> T = tangents(before), t = tangents(now);
+  Eigen::Vector3d n = T.col(0).cross(T.col(1)).normalized();
+  if (n.dot(before.PointInRig(material_mm)) > 0) n = -n;
+  Eigen::Matrix<double, 3, 2> axes;
+  axes.col(0) = (x_in_rig - x_in_rig.dot(n) * n).normalized();
+  axes.col(1) = n.cross(axes.col(0));
+  const Eigen::Matrix2d back = (axes.transpose() * T).inverse();
+  const Eigen::Matrix2d green =
+      0.5 * (back.transpose() * t.transpose() * t * back - Eigen::Matrix2d::Identity());
+  return {green(0, 0), green(1, 1), green(0, 1)};
+}
 
 }  // namespace plumbline::testing
