@@ -61,9 +61,9 @@ struct Part {
   Consistency Proof::*part;
   double looser = 1;  // factor on the tolerances
 };
-// Heights of the reference pair are told from a plane that was fitted to the same points. They
-// scatter less than they claim: in a field as small as this, 4 % of the variance is the plane's,
-// and it is added where it should be taken off.
+// Heights of the reference pair are told from a plane that was fitted to the same points, so that
+// the plane's variance, 8 % of a point's in so small a field, is added where it should be taken
+// off; and without noise they show what matches are off by on their own (docs/stereo_dic.md).
 constexpr std::array kParts = {Part{"position x, mm", &Proof::x},
                                Part{"position y, mm", &Proof::y},
                                Part{"position z, mm", &Proof::z},
