@@ -54,6 +54,7 @@ struct StereoSeeds {
 // mask: of the left image, 0 where a pixel is not to be used; may be null.
 // Throws: UsageError from options.Check(); InputError when the images are not of the cameras'
 //         sizes, or nothing is found and the rectified pair cannot be matched either, with why.
+//         Where most of what is found contradicts the rig, the counts tell.
 // The result does not depend on the number of threads.
 [[nodiscard]] StereoSeeds FindStereoSeeds(const StereoRig& rig, const GrayImage& left,
                                           const GrayImage& right,
