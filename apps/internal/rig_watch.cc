@@ -6,6 +6,7 @@
 #include <string>
 
 #include "calib/error.h"
+#include "calib/median.h"
 
 namespace plumbline::internal {
 namespace {
@@ -36,11 +37,21 @@ struct Epipolar {
   double mean_px = 0, rms_px = 0, expected_px = 0;
 };
 
+// Mismatches, far outside of the scatter about the median, are left out.
 Epipolar EpipolarOf(const StereoRig& rig, std::span<const StereoObservation> observations) {
+  std::vector<TriangulatedPoint> points = Triangulate(rig, observations);
+  std::erase_if(points, [](const TriangulatedPoint& p) { return !std::isfinite(p.epipolar_px); });
+  if (points.empty()) return {};
+  std::vector<double> values;
+  for (const TriangulatedPoint& point : points) values.push_back(point.epipolar_px);
+  const double middle = Median(values);
+  for (double& value : values) value = std::abs(value - middle);
+  constexpr double kFarOff = 8;  // median deviations: 5.4 sigmas of normal scatter
+  const double limit = kFarOff * Median(values);
   Epipolar out;
   double n = 0;
-  for (const TriangulatedPoint& point : Triangulate(rig, observations)) {
-    if (!std::isfinite(point.epipolar_px)) continue;
+  for (const TriangulatedPoint& point : points) {
+    if (std::abs(point.epipolar_px - middle) > limit) continue;
     out.mean_px += point.epipolar_px;
     out.rms_px += point.epipolar_px * point.epipolar_px;
     out.expected_px += point.sigma_epipolar_px * point.sigma_epipolar_px;
