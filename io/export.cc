@@ -87,14 +87,40 @@ void ExportPly(const fs::path& file, const SeriesFrame& frame) {
 
 void ExportCsv(const fs::path& file, const SeriesFrame& frame, CsvPoints points) {
   const bool all = points == CsvPoints::kAll;
+  const DisplacementField& moved = frame.displacement;
+  const StrainField& strain = frame.strain;
+  const bool has_displacement = !moved.value_mm.empty(), has_strain = !strain.value.empty();
   WriteStream(file, [&](std::ofstream& out) {
     out << "row,col,x_mm,y_mm,z_mm,sigma_random_x_mm,sigma_random_y_mm,sigma_random_z_mm,"
            "sigma_calibration_x_mm,sigma_calibration_y_mm,sigma_calibration_z_mm,correlation,"
            "epipolar_px"
+        << (has_displacement ? ",u_mm,v_mm,w_mm,sigma_random_u_mm,sigma_random_v_mm,"
+                               "sigma_random_w_mm,sigma_calibration_u_mm,sigma_calibration_v_mm,"
+                               "sigma_calibration_w_mm"
+                             : "")
+        << (has_strain ? ",strain_xx,strain_yy,strain_xy,sigma_random_strain_xx,"
+                         "sigma_random_strain_yy,sigma_random_strain_xy,"
+                         "sigma_calibration_strain_xx,sigma_calibration_strain_yy,"
+                         "sigma_calibration_strain_xy,strain_status"
+                       : "")
         << (all ? ",status\n" : "\n");
+    const auto cells = [&out](const Eigen::Vector3f& vector) {
+      for (const float v : vector) out << Cell(v);
+    };
     const auto write = [&](int r, int c) {
       out << r << ',' << c;
       for (const float v : ValuesOf(frame.surface, r, c)) out << Cell(v);
+      if (has_displacement) {
+        cells(moved.value_mm(r, c));
+        cells(moved.sigma_random_mm(r, c));
+        cells(moved.sigma_calibration_mm(r, c));
+      }
+      if (has_strain) {
+        cells(strain.value(r, c));
+        cells(strain.sigma_random(r, c));
+        cells(strain.sigma_calibration(r, c));
+        out << ',' << Name(strain.status(r, c));
+      }
       if (all) out << ',' << Name(frame.surface.status(r, c));
       out << '\n';
     };

@@ -17,9 +17,10 @@ void ExportPly(const std::filesystem::path& file, const SeriesFrame& frame);
 // The points of the grid that a table holds: those with a value, or all of them.
 enum class CsvPoints { kOk, kAll };
 
-// CSV with one heading line that names the units: row, column, then the same values. With kAll the
-// whole grid, in row order, with a last column `status` of names (calib/status.h); values that are
-// not there are `nan`. A frame without a surface has no points.
+// CSV with one heading line that names the units: row, column, then the same values, and where the
+// frame has them displacement (u, v, w) and strain with both sigmas, and strain_status. With kAll
+// the whole grid, in row order, with a last column `status` of names (calib/status.h); values that
+// are not there are `nan`. A frame without a surface has no points.
 void ExportCsv(const std::filesystem::path& file, const SeriesFrame& frame,
                CsvPoints points = CsvPoints::kOk);
 

@@ -1,5 +1,6 @@
 #include "io/export.h"
 
+#include <fmt/format.h>
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
@@ -46,6 +47,24 @@ print('same')
 )py",
                                        file.string());
   EXPECT_THAT(read.output, ::testing::HasSubstr("same"));
+}
+
+TEST(Export, ACsvHoldsDisplacementAndStrainWhereTheFrameDoes) {
+  const auto file = testing::TestFolder() / "a.csv";
+  const SeriesFrame frame = testing::FullFrame(2);
+  ExportCsv(file, frame);
+  const auto read = testing::RunPython(R"py(
+import sys, numpy as np
+t = np.genfromtxt(sys.argv[1], delimiter=',', names=True, dtype=None, encoding='utf-8')
+first = t[0]
+print(' '.join('%.7g' % first[name] for name in ('u_mm', 'sigma_random_w_mm', 'strain_xy', 'sigma_calibration_strain_yy')), first['strain_status'])
+)py",
+                                       file.string());
+  const auto expected =
+      fmt::format("{:.7g} {:.7g} {:.7g} {:.7g} {}", frame.displacement.value_mm(0, 0).x(),
+                  frame.displacement.sigma_random_mm(0, 0).z(), frame.strain.value(0, 0).z(),
+                  frame.strain.sigma_calibration(0, 0).y(), Name(frame.strain.status(0, 0)));
+  EXPECT_THAT(read.output, ::testing::HasSubstr(expected));
 }
 
 }  // namespace
