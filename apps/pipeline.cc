@@ -9,10 +9,10 @@
 #include <limits>
 #include <string_view>
 
+#include "apps/internal/finite_median.h"
 #include "apps/internal/ground_record.h"
 #include "apps/internal/surface_points.h"
 #include "calib/error.h"
-#include "calib/median.h"
 #include "calib/mode_triangulation.h"
 
 namespace plumbline {
@@ -37,13 +37,6 @@ Surface EmptySurface(ImageSize size, bool with_covariance) {
         Image<Eigen::Matrix<float, 6, 1>>(size, Eigen::Matrix<float, 6, 1>::Constant(kNan));
   }
   return surface;
-}
-
-double MedianOf(std::vector<double> values) {
-  values.erase(
-      std::remove_if(values.begin(), values.end(), [](double v) { return !std::isfinite(v); }),
-      values.end());
-  return values.empty() ? kNanDouble : Median(std::move(values));
 }
 
 template <typename Body>
@@ -330,8 +323,8 @@ void StereoMeasurement::Impl::Store(const SurfacePoints& points,
   }
   summary.plane_distance_mm =
       plane ? depth / static_cast<double>(summary.plane_points) : kNanDouble;
-  summary.median_sigma_random_mm = MedianOf(std::move(random));
-  summary.median_sigma_calibration_mm = MedianOf(std::move(common));
+  summary.median_sigma_random_mm = internal::MedianOfFinite(std::move(random));
+  summary.median_sigma_calibration_mm = internal::MedianOfFinite(std::move(common));
 }
 
 StereoMeasurement::StereoMeasurement(const StereoRig& rig, const MeasureOptions& options)

@@ -10,12 +10,12 @@
 #include <utility>
 #include <vector>
 
+#include "apps/internal/finite_median.h"
 #include "apps/internal/ground_record.h"
 #include "apps/internal/rig_watch.h"
 #include "apps/internal/surface_points.h"
 #include "apps/internal/surface_records.h"
 #include "calib/error.h"
-#include "calib/median.h"
 #include "calib/mode_triangulation.h"
 #include "calib/triangulate.h"
 #include "track/surface_motion.h"
@@ -92,11 +92,6 @@ double CorrelationArea(const NeighbourCorrelation& neighbours, ImageSize grid) {
   return std::max(1.0, sum / std::max(1, count));
 }
 
-double MedianOrNone(std::vector<double> values) {
-  std::erase_if(values, [](double v) { return !std::isfinite(v); });
-  return values.empty() ? kNone : Median(std::move(values));
-}
-
 // Of the components of those vectors that are whole.
 Eigen::Vector3d Medians(const Image<Eigen::Vector3f>& vectors) {
   Eigen::Vector3d medians;
@@ -105,7 +100,7 @@ Eigen::Vector3d Medians(const Image<Eigen::Vector3f>& vectors) {
     for (const Eigen::Vector3f& v : vectors.values()) {
       values.push_back(static_cast<double>(v[k]));
     }
-    medians[k] = MedianOrNone(std::move(values));
+    medians[k] = internal::MedianOfFinite(std::move(values));
   }
   return medians;
 }
