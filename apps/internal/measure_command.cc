@@ -10,6 +10,7 @@
 #include <memory>
 
 #include "apps/internal/command.h"
+#include "apps/internal/foreign_rig_options.h"
 #include "apps/internal/measure_flow.h"
 #include "apps/internal/measure_report.h"
 #include "apps/internal/result_file.h"
@@ -125,8 +126,7 @@ class MeasureCommand : public Command {
                                               const std::string& recipe_toml) const;
 
   std::string rig_, left_, right_, output_ = "run.h5";
-  double rig_length_unit_mm_ = 1;
-  std::string rig_image_size_;
+  ForeignRigOptionSet foreign_rig_;
   std::string matcher_ = "sgbm", frames_, roi_, mask_, timestamps_, rectification_ = "auto";
   std::string shard_;
   std::optional<double> frames_per_second_;
@@ -190,16 +190,7 @@ void MeasureCommand::Declare(OptionTable& options) {
   DeclareSgbm(options);
   evaluation_.DeclareGround(options);
   evaluation_.Declare(options);
-  options.Add({.name = "rig-length-unit",
-               .help = "how many mm the rig file's unit of length is, for OpenCV files in metres: "
-                       "1000",
-               .unit = "mm",
-               .min = 1e-6},
-              &rig_length_unit_mm_);
-  options.Add({.name = "rig-image-size",
-               .help = "image size, for rig files of other programs that do not hold it",
-               .unit = "WxH px"},
-              &rig_image_size_);
+  foreign_rig_.Declare(options);
 }
 
 void MeasureCommand::DeclareRun(OptionTable& options) {
@@ -379,9 +370,7 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
   if (const auto report = FinishedBefore(output, recipe_toml)) return *report;
   std::optional<SeriesShard> shard;
   if (!shard_.empty()) shard = ParseShard(shard_);
-  ForeignCalibrationOptions foreign;
-  foreign.length_unit_mm = rig_length_unit_mm_;
-  if (!rig_image_size_.empty()) foreign.image_size = ParseImageSize(rig_image_size_);
+  const ForeignCalibrationOptions foreign = foreign_rig_.Options();
   if (!dic) SgbmOptions(common.seed);  // before anything is read: what is wrong with them
   const RigInput rig = OpenRig(rig_, foreign);
   for (const std::string& note : rig.notes) spdlog::info("Note: {}", note);

@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "apps/internal/command.h"
+#include "apps/internal/foreign_rig_options.h"
 #include "apps/internal/measure_report.h"
 #include "apps/internal/noise_report.h"
 #include "apps/internal/result_file.h"
@@ -80,8 +81,8 @@ class NoiseCommand : public Command {
   CommandReport RunOfRig(const CommonOptions& common, const std::string& recipe_toml) const;
 
   std::string images_, left_, right_, rig_, output_ = "noise.toml", camera_ = "camera", frames_;
-  std::string roi_, mask_, floor_, rig_image_size_;
-  double rig_length_unit_mm_ = 1;
+  std::string roi_, mask_, floor_;
+  ForeignRigOptionSet foreign_rig_;
   bool overwrite_ = false;
   std::optional<int> step_px_;
   PhotonTransferOptions options_;
@@ -148,16 +149,7 @@ void NoiseCommand::DeclareRig(OptionTable& options) {
   dic_.Declare(options, false);
   evaluation_.DeclareGround(options);
   evaluation_.Declare(options);
-  options.Add({.name = "rig-length-unit",
-               .help = "how many mm the rig file's unit of length is, for OpenCV files in metres: "
-                       "1000",
-               .unit = "mm",
-               .min = 1e-6},
-              &rig_length_unit_mm_);
-  options.Add({.name = "rig-image-size",
-               .help = "image size, for rig files of other programs that do not hold it",
-               .unit = "WxH px"},
-              &rig_image_size_);
+  foreign_rig_.Declare(options);
 }
 
 CameraNoise NoiseOf(const PhotonTransfer& found) {
@@ -330,10 +322,7 @@ CommandReport NoiseCommand::RunOfRig(const CommonOptions& common,
                                      const std::string& recipe_toml) const {
   std::optional<RigInput> rig;
   if (!rig_.empty()) {
-    ForeignCalibrationOptions foreign;
-    foreign.length_unit_mm = rig_length_unit_mm_;
-    if (!rig_image_size_.empty()) foreign.image_size = ParseImageSize(rig_image_size_);
-    rig = OpenRig(rig_, foreign);
+    rig = OpenRig(rig_, foreign_rig_.Options());
     for (const std::string& note : rig->notes) spdlog::info("Note: {}", note);
     if (!floor_.empty()) CheckedOutput(floor_, overwrite_);
     evaluation_.Options(common.seed);  // before anything is read: what is wrong with them
