@@ -136,9 +136,9 @@ void SplineSlopeWeights(int degree, double t, double* weights) {
   }
 }
 
-SplineHalfWeights HalfWeights(int degree) {
+SplineTapPolynomials TapPolynomials(int degree) {
   const auto* polynomials = Polynomials(degree);
-  SplineHalfWeights half{};
+  SplineTapPolynomials taps{};
   for (int k = 0; k <= degree / 2; ++k) {
     // p(1/2 + s) by Horner's scheme on polynomials in s.
     double shifted[6] = {};
@@ -147,11 +147,12 @@ SplineHalfWeights HalfWeights(int degree) {
       shifted[0] = shifted[0] * 0.5 + polynomials[k][i];
     }
     for (int i = 0; i < 3; ++i) {
-      half.even[k][i] = static_cast<float>(shifted[2 * i]);
-      half.odd[k][i] = static_cast<float>(shifted[2 * i + 1]);
+      taps.even[i][k] = taps.even[i][degree - k] = static_cast<float>(shifted[2 * i]);
+      taps.odd[i][k] = static_cast<float>(shifted[2 * i + 1]);
+      taps.odd[i][degree - k] = -taps.odd[i][k];
     }
   }
-  return half;
+  return taps;
 }
 
 void RowSamplesToCoefficients(int degree, Image<float>& image) {

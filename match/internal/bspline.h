@@ -31,14 +31,14 @@ inline void CubicWeights(float t, float weights[4]) {
   weights[3] = t3 / 6;
 }
 
-// The weights by powers of s = t - 1/2: tap k has sum_i even[k][i] s^(2 i) + s sum_i odd[k][i] s^(2
-// i), and its mirror image, tap degree - k, the same with the minus sign. For the first half of the
-// taps; (degree + 1) / 2 numbers each.
-struct SplineHalfWeights {
-  float even[3][3];
-  float odd[3][3];
+// The weights by powers of s = t - 1/2: that of tap k is sum_i even[i][k] s^(2 i) + s sum_i
+// odd[i][k] s^(2 i). The last half of the taps mirrors the first: the same even ones, minus the odd
+// ones. Zeros behind the last tap.
+struct SplineTapPolynomials {
+  alignas(32) float even[3][8];
+  alignas(32) float odd[3][8];
 };
-SplineHalfWeights HalfWeights(int degree);
+SplineTapPolynomials TapPolynomials(int degree);
 
 // Samples to coefficients, in place, mirrored about the border samples. Uses all threads, the same
 // for any number of them. An axis of one sample is left as it is.

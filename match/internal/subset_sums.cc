@@ -1,5 +1,6 @@
 #include "match/internal/subset_sums.h"
 
+#include <algorithm>
 #include <cstdint>
 
 #include "match/internal/bspline.h"
@@ -86,11 +87,12 @@ class MomentSums {
   V sums_[kTerms];
 };
 
+// Calls visit(place in the arrays, offsets along x) for each vector of a row.
 template <typename Visit>
 HWY_INLINE void ForEachVector(const PackedSubset::Row& row, const Visit& visit) {
   const D d;
   const V iota = hn::Iota(d, static_cast<float>(row.x));
-  for (int i = 0; i < row.runs * PackedSubset::kRun; i += static_cast<int>(hn::Lanes(d))) {
+  for (int i = 0; i < row.count; i += static_cast<int>(hn::Lanes(d))) {
     visit(row.at + static_cast<std::size_t>(i), hn::Add(iota, hn::Set(d, static_cast<float>(i))));
   }
 }
@@ -154,63 +156,177 @@ ProductSums ProductsOfOrder(const PackedSubset& subset, const float* gradient_x,
 
 // Weights of all taps along one axis; s = fraction - 1/2.
 template <int kDegree>
-HWY_INLINE void Weights(const SplineHalfWeights& half, V s, V* weights) {
+HWY_INLINE void Weights(const SplineTapPolynomials& taps, V s, V* weights) {
   const D d;
   const V ss = hn::Mul(s, s);
   for (int k = 0; k <= kDegree / 2; ++k) {
-    V even = hn::MulAdd(hn::Set(d, half.even[k][1]), ss, hn::Set(d, half.even[k][0]));
-    V odd = hn::MulAdd(hn::Set(d, half.odd[k][1]), ss, hn::Set(d, half.odd[k][0]));
+    V even = hn::MulAdd(hn::Set(d, taps.even[1][k]), ss, hn::Set(d, taps.even[0][k]));
+    V odd = hn::MulAdd(hn::Set(d, taps.odd[1][k]), ss, hn::Set(d, taps.odd[0][k]));
     if constexpr (kDegree == 5) {
       const V s4 = hn::Mul(ss, ss);
-      even = hn::MulAdd(hn::Set(d, half.even[k][2]), s4, even);
-      odd = hn::MulAdd(hn::Set(d, half.odd[k][2]), s4, odd);
+      even = hn::MulAdd(hn::Set(d, taps.even[2][k]), s4, even);
+      odd = hn::MulAdd(hn::Set(d, taps.odd[2][k]), s4, odd);
     }
     weights[k] = hn::MulAdd(s, odd, even);
     weights[kDegree - k] = hn::NegMulAdd(s, odd, even);
   }
 }
 
-// The spline at consecutive pixels; `corner` is the first coefficient of the first lane.
+// Room for the weights of lanes that stray by so many columns or lines.
+constexpr int kMostStray = 2;
 template <int kDegree>
-HWY_INLINE V Interpolate(const float* HWY_RESTRICT corner, std::ptrdiff_t stride, const V* along_x,
-                         const V* along_y) {
+constexpr int kRoom = kDegree + 1 + kMostStray;
+
+// Moves the weights of lanes on by as many taps as they are ahead (0 to `most`), zeros before them.
+template <int kDegree>
+HWY_INLINE void MoveOn(hn::Vec<DI> ahead, int most, V* weights) {
+  const D d;
+  const DI di;
+  for (int k = 1; k <= most; ++k) {
+    const hn::Mask<D> moved = hn::RebindMask(d, hn::Gt(ahead, hn::Set(di, k - 1)));
+    weights[kDegree + k] = hn::IfThenElseZero(moved, weights[kDegree + k - 1]);
+    for (int i = kDegree + k - 1; i > 0; --i) {
+      weights[i] = hn::IfThenElse(moved, weights[i - 1], weights[i]);
+    }
+    weights[0] = hn::IfThenZeroElse(moved, weights[0]);
+  }
+}
+
+// Sums coefficients times weights; `corner` is the first coefficient of the first lane.
+template <int kTapsX>
+HWY_INLINE V Interpolate(const float* HWY_RESTRICT corner, std::ptrdiff_t stride, int taps_y,
+                         const V* along_x, const V* along_y) {
   const D d;
   V value = hn::Zero(d);
-  for (int j = 0; j <= kDegree; ++j) {
+  for (int j = 0; j < taps_y; ++j) {
     V row = hn::Mul(along_x[0], hn::LoadU(d, corner));
-    for (int i = 1; i <= kDegree; ++i) row = hn::MulAdd(along_x[i], hn::LoadU(d, corner + i), row);
+    for (int i = 1; i < kTapsX; ++i) row = hn::MulAdd(along_x[i], hn::LoadU(d, corner + i), row);
     value = hn::MulAdd(along_y[j], row, value);
     corner += stride;
   }
   return value;
 }
 
-// Lanes whose pixels do not lie side by side: one group of those that do after the other.
+// Where the pixels of the first `count` lanes lie: column (less the lane) and line of the first
+// coefficient that each takes. The other lanes' are anywhere.
+struct Places {
+  hn::Vec<DI> column, line;
+  int count;
+};
+
+// Lanes that lie anywhere: one group of those side by side after the other.
 template <int kDegree>
-HWY_NOINLINE V InterpolateApart(const TargetPixels& target, hn::Vec<DI> column, hn::Vec<DI> row,
-                                hn::Mask<D> wanted, const V* along_x, const V* along_y) {
+HWY_NOINLINE V InterpolateApart(const TargetPixels& target, const Places& places,
+                                const std::int32_t* columns, const std::int32_t* lines,
+                                const V* along_x, const V* along_y) {
   const D d;
   const DI di;
-  HWY_ALIGN std::int32_t columns[PackedSubset::kRun];
-  HWY_ALIGN std::int32_t rows[PackedSubset::kRun];
-  hn::Store(column, di, columns);
-  hn::Store(row, di, rows);
   V value = hn::Zero(d);
-  hn::Mask<D> left = wanted;
+  hn::Mask<D> left = hn::FirstN(d, static_cast<std::size_t>(places.count));
   for (std::intptr_t lane = hn::FindFirstTrue(d, left); lane >= 0;
        lane = hn::FindFirstTrue(d, left)) {
-    const hn::Mask<DI> together =
-        hn::And(hn::Eq(column, hn::Set(di, columns[lane])), hn::Eq(row, hn::Set(di, rows[lane])));
+    const hn::Mask<DI> together = hn::And(hn::Eq(places.column, hn::Set(di, columns[lane])),
+                                          hn::Eq(places.line, hn::Set(di, lines[lane])));
     const hn::Mask<D> group = hn::And(hn::RebindMask(d, together), left);
-    constexpr int kBefore = (kDegree - 1) / 2;
-    const float* corner =
-        target.coefficients + (rows[lane] - kBefore) * target.stride + columns[lane] - kBefore;
-    value =
-        hn::IfThenElse(group, Interpolate<kDegree>(corner, target.stride, along_x, along_y), value);
+    const float* corner = target.coefficients + lines[lane] * target.stride + columns[lane];
+    value = hn::IfThenElse(
+        group, Interpolate<kDegree + 1>(corner, target.stride, kDegree + 1, along_x, along_y),
+        value);
     left = hn::AndNot(group, left);
   }
   return value;
 }
+
+// Lanes that lie nearly side by side, as under a stretch: all of them at once, with some more taps.
+template <int kDegree>
+HWY_NOINLINE V InterpolateStraying(const TargetPixels& target, const Places& places, V* along_x,
+                                   V* along_y) {
+  const D d;
+  const DI di;
+  HWY_ALIGN std::int32_t columns[PackedSubset::kRun];
+  HWY_ALIGN std::int32_t lines[PackedSubset::kRun];
+  hn::Store(places.column, di, columns);
+  hn::Store(places.line, di, lines);
+  const int last = places.count - 1;
+  const int column = std::min(columns[0], columns[last]);
+  const int line = std::min(lines[0], lines[last]);
+  const int more_x = std::max(columns[0], columns[last]) - column;
+  const int more_y = std::max(lines[0], lines[last]) - line;
+  const hn::Vec<DI> columns_ahead = hn::Sub(places.column, hn::Set(di, column));
+  const hn::Vec<DI> lines_ahead = hn::Sub(places.line, hn::Set(di, line));
+  // Under a warp that bends, the outermost lanes need not be the first and the last.
+  const hn::Vec<DI> zero = hn::Zero(di);
+  const auto beyond = hn::Or(
+      hn::Or(hn::Lt(columns_ahead, zero), hn::Lt(lines_ahead, zero)),
+      hn::Or(hn::Gt(columns_ahead, hn::Set(di, more_x)), hn::Gt(lines_ahead, hn::Set(di, more_y))));
+  if (more_x > kMostStray || more_y > kMostStray ||
+      !hn::AllFalse(d, hn::And(hn::RebindMask(d, beyond),
+                               hn::FirstN(d, static_cast<std::size_t>(places.count))))) {
+    return InterpolateApart<kDegree>(target, places, columns, lines, along_x, along_y);
+  }
+  MoveOn<kDegree>(columns_ahead, more_x, along_x);
+  MoveOn<kDegree>(lines_ahead, more_y, along_y);
+  const float* corner = target.coefficients + line * target.stride + column;
+  const int taps_y = kDegree + 1 + more_y;
+  switch (more_x) {
+    case 0:
+      return Interpolate<kDegree + 1>(corner, target.stride, taps_y, along_x, along_y);
+    case 1:
+      return Interpolate<kDegree + 2>(corner, target.stride, taps_y, along_x, along_y);
+    default:
+      return Interpolate<kDegree + 3>(corner, target.stride, taps_y, along_x, along_y);
+  }
+}
+
+// The spline at one pixel, the taps along x side by side: for what a row has beyond its whole
+// vectors.
+template <int kDegree>
+class OnePixel {
+ public:
+  explicit OnePixel(const SplineTapPolynomials& taps) : taps_(taps) {}
+
+  HWY_INLINE float Interpolate(const TargetPixels& target, float x, float y) const {
+    const DTaps d;
+    const float floor_x = hn::GetLane(hn::Floor(hn::Set(d, x)));
+    const float floor_y = hn::GetLane(hn::Floor(hn::Set(d, y)));
+    HWY_ALIGN float along_x[kPadded], along_y[kPadded];
+    Weights(x - floor_x - 0.5F, along_x);
+    Weights(y - floor_y - 0.5F, along_y);
+    constexpr int kBefore = (kDegree - 1) / 2;
+    const float* const corner = target.coefficients +
+                                (static_cast<int>(floor_y) - kBefore) * target.stride +
+                                (static_cast<int>(floor_x) - kBefore);
+    auto sum = hn::Zero(d);
+    for (int i = 0; i < kPadded; i += static_cast<int>(hn::Lanes(d))) {
+      auto column = hn::Zero(d);
+      for (int j = 0; j <= kDegree; ++j) {
+        column = hn::MulAdd(hn::Set(d, along_y[j]), hn::LoadU(d, corner + j * target.stride + i),
+                            column);
+      }
+      sum = hn::MulAdd(hn::Load(d, along_x + i), column, sum);
+    }
+    return hn::GetLane(hn::SumOfLanes(d, sum));
+  }
+
+ private:
+  static constexpr int kPadded = 8;  // taps
+  using DTaps = hn::CappedTag<float, kPadded>;
+
+  HWY_INLINE void Weights(float s, float* weights) const {
+    const DTaps d;
+    const auto of_s = hn::Set(d, s);
+    const auto ss = hn::Set(d, s * s);
+    for (int i = 0; i < kPadded; i += static_cast<int>(hn::Lanes(d))) {
+      auto even = hn::MulAdd(hn::Load(d, taps_.even[2] + i), ss, hn::Load(d, taps_.even[1] + i));
+      auto odd = hn::MulAdd(hn::Load(d, taps_.odd[2] + i), ss, hn::Load(d, taps_.odd[1] + i));
+      even = hn::MulAdd(even, ss, hn::Load(d, taps_.even[0] + i));
+      odd = hn::MulAdd(odd, ss, hn::Load(d, taps_.odd[0] + i));
+      hn::Store(hn::MulAdd(of_s, odd, even), d, weights + i);
+    }
+  }
+
+  const SplineTapPolynomials& taps_;
+};
 
 // The rows' polynomials in x of the warped coordinate; its second order where it is bent.
 template <bool kBent>
@@ -224,48 +340,58 @@ HWY_INLINE V Warped(const float* warp, float y, V x) {
   }
 }
 
-template <int kOrder, int kDegree, bool kBent>
-TargetSums TargetOfOrder(const PackedSubset& subset, const TargetPixels& target) {
-  static const SplineHalfWeights kHalf = HalfWeights(kDegree);
-  const SplineHalfWeights half = kHalf;
+// The spline where consecutive pixels of the reference go: the first `count` lanes.
+template <int kDegree>
+HWY_INLINE V SplineAt(const SplineTapPolynomials& taps, const TargetPixels& target, V x, V y,
+                      int count) {
   const D d;
   const DI di;
-  const hn::Vec<DI> lanes = hn::Iota(di, 0);
-  const V offset = hn::Set(d, target.grey_offset);
+  const V floor_x = hn::Floor(x);
+  const V floor_y = hn::Floor(y);
+  const V half_pixel = hn::Set(d, 0.5F);
+  V along_x[kRoom<kDegree>];
+  V along_y[kRoom<kDegree>];
+  Weights<kDegree>(taps, hn::Sub(hn::Sub(x, floor_x), half_pixel), along_x);
+  Weights<kDegree>(taps, hn::Sub(hn::Sub(y, floor_y), half_pixel), along_y);
   constexpr int kBefore = (kDegree - 1) / 2;
+  // The same in all lanes whose pixels lie side by side.
+  const Places places{hn::Sub(hn::ConvertTo(di, floor_x), hn::Iota(di, kBefore)),
+                      hn::Sub(hn::ConvertTo(di, floor_y), hn::Set(di, kBefore)), count};
+  const std::int32_t column = hn::GetLane(places.column);
+  const std::int32_t line = hn::GetLane(places.line);
+  const hn::Mask<D> apart = hn::RebindMask(d, hn::Or(hn::Ne(places.column, hn::Set(di, column)),
+                                                     hn::Ne(places.line, hn::Set(di, line))));
+  if (HWY_LIKELY(hn::AllFalse(d, hn::And(apart, hn::FirstN(d, static_cast<std::size_t>(count)))))) {
+    return Interpolate<kDegree + 1>(target.coefficients + line * target.stride + column,
+                                    target.stride, kDegree + 1, along_x, along_y);
+  }
+  return InterpolateStraying<kDegree>(target, places, along_x, along_y);
+}
+
+template <int kOrder, int kDegree, bool kBent>
+TargetSums TargetOfOrder(const PackedSubset& subset, const TargetPixels& target) {
+  static const SplineTapPolynomials kTaps = TapPolynomials(kDegree);
+  const SplineTapPolynomials taps = kTaps;
+  const OnePixel<kDegree> one_pixel(taps);
+  const D d;
+  const V offset = hn::Set(d, target.grey_offset);
   V g_sum = hn::Zero(d);
   V gg_sum = hn::Zero(d);
   V fg_sum = hn::Zero(d);
   MomentSums<kOrder> gradient_x, gradient_y;
   for (const PackedSubset::Row& row : subset.rows) {
     ForEachVector(row, [&](std::size_t at, V x) HWY_ATTR {
-      const V weight = hn::Load(d, subset.weight.data() + at);
       const V to_x = Warped<kBent>(target.warp_x, row.y, x);
       const V to_y = Warped<kBent>(target.warp_y, row.y, x);
-      const V floor_x = hn::Floor(to_x);
-      const V floor_y = hn::Floor(to_y);
-      const V half_pixel = hn::Set(d, 0.5F);
-      V along_x[kDegree + 1];
-      V along_y[kDegree + 1];
-      Weights<kDegree>(half, hn::Sub(hn::Sub(to_x, floor_x), half_pixel), along_x);
-      Weights<kDegree>(half, hn::Sub(hn::Sub(to_y, floor_y), half_pixel), along_y);
-      // Columns less the lane: the same in all lanes whose pixels lie side by side.
-      const hn::Vec<DI> column = hn::Sub(hn::ConvertTo(di, floor_x), lanes);
-      const hn::Vec<DI> line = hn::ConvertTo(di, floor_y);
-      const std::int32_t first_column = hn::GetLane(column);
-      const std::int32_t first_line = hn::GetLane(line);
-      const hn::Mask<D> apart = hn::RebindMask(d, hn::Or(hn::Ne(column, hn::Set(di, first_column)),
-                                                         hn::Ne(line, hn::Set(di, first_line))));
-      const hn::Mask<D> wanted = hn::Gt(weight, hn::Zero(d));
+      const int left = row.count - static_cast<int>(at - row.at);
       V g;
-      if (HWY_LIKELY(hn::AllFalse(d, hn::And(apart, wanted)) &&
-                     hn::FindFirstTrue(d, wanted) == 0)) {
-        const float* corner =
-            target.coefficients + (first_line - kBefore) * target.stride + first_column - kBefore;
-        g = Interpolate<kDegree>(corner, target.stride, along_x, along_y);
+      if (left == 1) {
+        g = hn::Set(d, one_pixel.Interpolate(target, hn::GetLane(to_x), hn::GetLane(to_y)));
       } else {
-        g = InterpolateApart<kDegree>(target, column, line, wanted, along_x, along_y);
+        g = SplineAt<kDegree>(taps, target, to_x, to_y,
+                              std::min(left, static_cast<int>(hn::Lanes(d))));
       }
+      const V weight = hn::Load(d, subset.weight.data() + at);
       g = hn::Mul(hn::Sub(g, offset), weight);
       const V f = hn::Load(d, subset.grey.data() + at);
       g_sum = hn::Add(g_sum, g);

@@ -232,11 +232,19 @@ TEST(SubsetSums, OfTheReferenceEqualTheirScalarTwins) {
   }
 }
 
-// Turned by 30 degrees, strained by 20 %, bent by up to a pixel at the border of the subset.
+// At rest; strained by 20 %; turned by 30 degrees too; and bent by up to a pixel at the border of
+// the subset; foreshortened by 7 % with shear, as between two cameras; and with a bend that turns
+// round within the subset.
+constexpr int kWarpKinds = 6;
 SubsetWarp WarpFor(int side, const Eigen::Vector2d& shift, int kind) {
   const double r = side / 2;
   SubsetWarp warp = SubsetWarp::Of(shift);
   if (kind == 0) return warp;
+  if (kind >= 4) {
+    warp.c.block<2, 2>(0, 1) << -0.07, 0.03, kind == 4 ? 0.05 : 0.0, -0.02;
+    if (kind == 5) warp.c.col(3) << 0, 1.4 / (r * r);
+    return warp;
+  }
   Eigen::Matrix2d to = Eigen::Rotation2Dd(kind == 1 ? 0 : std::numbers::pi / 6).toRotationMatrix();
   to.row(0) *= 1.2;
   to.row(1) *= 0.95;
@@ -260,7 +268,7 @@ TEST(SubsetSums, OfTheTargetEqualTheirScalarTwinsUnderAnyWarp) {
         for (const bool masked : {false, true}) {
           const int count = Pack(pair.Planes(masked ? &mask : nullptr), OutlineOf(side, circle),
                                  at.x(), at.y(), 100, subset);
-          for (int kind = 0; kind < 4; ++kind) {
+          for (int kind = 0; kind < kWarpKinds; ++kind) {
             const SubsetWarp warp = WarpFor(side, {2.3, -1.6}, kind);
             ExpectSameTargetSums(subset, pair.Target(at, warp), count, side / 2,
                                  Name(degree, side, circle) + ", warp " + std::to_string(kind));
@@ -337,7 +345,7 @@ TEST(SubsetSums, AreTheSameWithinRoundingOnEveryInstructionSet) {
             Pack(pair.Planes(&mask), OutlineOf(side, true), at.x(), at.y(), 100, subset);
         const std::string what = Name(degree, side, true) + " on " + SumsInstructionSet();
         ExpectSameReferenceSums(subset, count, side / 2, what);
-        for (int kind = 0; kind < 4; ++kind) {
+        for (int kind = 0; kind < kWarpKinds; ++kind) {
           ExpectSameTargetSums(subset, pair.Target(at, WarpFor(side, {2.3, -1.6}, kind)), count,
                                side / 2, what);
         }
