@@ -5,6 +5,7 @@
 #include <limits>
 #include <memory>
 #include <optional>
+#include <vector>
 
 #include "calib/image.h"
 #include "calib/status.h"
@@ -83,6 +84,11 @@ class SubsetCorrelator {
 
   const CorrelatorOptions& options() const;
 
+  // Works out what does not depend on the deformed image for the subsets around these pixels, once
+  // and for all (2 KB each): matches of them are about half as long after that, and the same. Not
+  // to be called while others match.
+  void Remember(const std::vector<Eigen::Vector2i>& pixels);
+
   // Finds the subset around a pixel of the reference (x, y), starting from a warp. With order 0 or
   // 1 the second order of that is kept as it is: what is known of the curvature beforehand. Where
   // the reference or the mask cuts the subset off, what is left of it is looked for; all of that
@@ -98,7 +104,7 @@ class SubsetCorrelator {
 
  private:
   struct Impl;
-  std::unique_ptr<const Impl> impl_;
+  std::unique_ptr<Impl> impl_;
 };
 
 }  // namespace plumbline

@@ -54,16 +54,14 @@ NormalEquations::NormalEquations(int order, int pixel_count, const ReferenceSums
   mean_gradient_ = sum / count_;
   slope_ =
       (Stacked(reference.f_gradient_x, reference.f_gradient_y, terms_) - mean_ * sum) / energy_;
-  full_ = Assemble(products);
-  information_ = full_ - count_ * mean_gradient_ * mean_gradient_.transpose() -
-                 energy_ * slope_ * slope_.transpose();
-  if (!(information_.diagonal().minCoeff() > 0) || !information_.allFinite()) return;
+  const ShapeMatrix information = Assemble(products) - OfGainAndOffset();
+  if (!(information.diagonal().minCoeff() > 0) || !information.allFinite()) return;
   // Stripes: what is seen along them is the rounding of the filters.
-  const double along_x = information_(0, 0);
-  const double along_y = information_(terms_, terms_);
+  const double along_x = information(0, 0);
+  const double along_y = information(terms_, terms_);
   if (std::min(along_x, along_y) < 1e-7 * std::max(along_x, along_y)) return;
-  scale_ = information_.diagonal().cwiseSqrt().cwiseInverse();
-  const ShapeMatrix scaled = scale_.asDiagonal() * information_ * scale_.asDiagonal();
+  scale_ = information.diagonal().cwiseSqrt().cwiseInverse();
+  const ShapeMatrix scaled = scale_.asDiagonal() * information * scale_.asDiagonal();
   const bool positive = WithSize(unknowns(), [&](auto size) {
     const Eigen::LLT<Eigen::Matrix<double, size, size>> llt(scaled);
     factor_ = llt.matrixL();
@@ -86,6 +84,12 @@ ShapeMatrix NormalEquations::Assemble(const ProductSums& products) const {
     }
   }
   return matrix;
+}
+
+// What gain and offset take of the information.
+ShapeMatrix NormalEquations::OfGainAndOffset() const {
+  return count_ * mean_gradient_ * mean_gradient_.transpose() +
+         energy_ * slope_ * slope_.transpose();
 }
 
 NormalEquations::Fit NormalEquations::Evaluate(const TargetSums& target) const {
@@ -142,7 +146,7 @@ NormalEquations::Covariance NormalEquations::CovariancePerVariance(const Product
     } else {
       factor.template triangularView<Eigen::Lower>().transpose().solveInPlace(solved);
       // Gain and offset take out what is smooth over the subset, which the filter leaves as it is.
-      const Square of_noise = Assemble(*noise) - (full_ - information_);
+      const Square of_noise = Assemble(*noise) - OfGainAndOffset();
       const Square scaled = scale_.asDiagonal() * of_noise * scale_.asDiagonal();
       const Columns half = scaled * solved;
       covariance.noalias() = solved.transpose() * half;

@@ -18,6 +18,7 @@ using ShapeMatrix = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 12,
 //   J~ = J - mean(J) - slope (f - mean(f)),   H~ = sum J~ J~'.
 class NormalEquations {
  public:
+  NormalEquations() = default;  // not solvable
   NormalEquations(int order, int pixel_count, const ReferenceSums& reference,
                   const ProductSums& products);
 
@@ -52,13 +53,13 @@ class NormalEquations {
 
  private:
   ShapeMatrix Assemble(const ProductSums& products) const;
+  ShapeMatrix OfGainAndOffset() const;
 
-  int order_, terms_;
-  double count_;
+  int order_ = 0, terms_ = 1;
+  double count_ = 0;
   double mean_ = 0, energy_ = 0;  // of f
   ShapeVector mean_gradient_, slope_;
-  ShapeMatrix full_, information_;
-  ShapeVector scale_;   // 1 / sqrt of the diagonal
+  ShapeVector scale_;   // 1 / sqrt of the information's diagonal
   ShapeMatrix factor_;  // Cholesky factor of the scaled information, lower
   bool solvable_ = false;
 };

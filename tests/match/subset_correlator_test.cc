@@ -180,6 +180,36 @@ TEST(SubsetCorrelator, UsesWhatTheMaskLeaves) {
                (without.warp.displacement_px() - moved.displacement_px()).norm() < 0.05);
 }
 
+TEST(SubsetCorrelator, MatchesRememberedSubsetsToTheSameBits) {
+  const CorrelationImage f(Reference(1)), g(Deformed(SubsetWarp::Of({0.3, -0.4}), 1));
+  Image<std::uint8_t> mask(kSize, 1);
+  for (int y = 0; y < kSize.height; ++y) std::fill_n(mask.row(y), kCentre.x() - 6, std::uint8_t{0});
+  for (const int order : {0, 1, 2}) {
+    const SubsetCorrelator plain(f, Options(31, order), &mask);
+    SubsetCorrelator remembering(f, Options(31, order), &mask);
+    // Whole, cut by the mask, cut by the image, in the mask, off the image.
+    const std::vector<Eigen::Vector2i> pixels = {kCentre,
+                                                 kCentre + Eigen::Vector2i(25, 3),
+                                                 {kSize.width - 6, kCentre.y()},
+                                                 {3, kCentre.y()},
+                                                 {-4, 5}};
+    remembering.Remember(pixels);
+    for (const Eigen::Vector2i& pixel : pixels) {
+      const SubsetMatch a = plain.Match(g, pixel, {}), b = remembering.Match(g, pixel, {});
+      EXPECT_EQ(a.status, b.status);
+      EXPECT_EQ(a.iterations, b.iterations);
+      if (a.status != Status::kOk) continue;
+      EXPECT_EQ(a.warp.c, b.warp.c);
+      EXPECT_EQ(a.zncc, b.zncc);
+      EXPECT_EQ(a.cov_displacement_px2, b.cov_displacement_px2);
+      if (order > 0) {
+        EXPECT_EQ(a.cov_gradient, b.cov_gradient);
+      }
+    }
+    EXPECT_EQ(plain.Match(g, pixels[1], {}).status, Status::kOk);
+  }
+}
+
 TEST(SubsetCorrelator, TellsWhatIsMasked) {
   Image<std::uint8_t> mask(kSize, 1);
   for (int y = 0; y < kSize.height; ++y)
