@@ -7,6 +7,7 @@
 
 #include "calib/error.h"
 #include "calib/median.h"
+#include "match/internal/motion_memory.h"
 #include "match/internal/updated_reference.h"
 
 namespace plumbline {
@@ -14,9 +15,6 @@ namespace {
 
 using internal::ComposedField;
 using internal::UpdatedReference;
-
-// For so many frames a lost point is looked for where it was seen last.
-constexpr std::uint8_t kRememberFrames = 10;
 
 double MedianZncc(const PlanarField& field) {
   std::vector<double> zncc;
@@ -64,7 +62,6 @@ struct PlanarSequence::Impl {
   bool Worse(const CorrelatedField& now) const;
   std::unique_ptr<const UpdatedReference> ReferenceOf(const Last& frame) const;
   void Take(std::unique_ptr<const UpdatedReference> reference, std::int64_t number);
-  void Remember(const PlanarField& field);
   std::optional<ComposedField> AfterUpdate(const GrayImage& image, const CorrelatedField& now);
   PlanarField Increment(const PlanarField& total) const;
 
@@ -77,9 +74,7 @@ struct PlanarSequence::Impl {
   std::int64_t reference_number = -1;
   std::int64_t with_reference = 0;  // frames
   Reached reached;
-  // To start from, in terms of the reference in force; and how long ago each point was seen.
-  std::optional<PlanarField> start;
-  Image<std::uint8_t> age;
+  internal::MotionMemory memory;  // in terms of the reference in force
   std::optional<Last> last;
 };
 
@@ -94,7 +89,7 @@ PlanarSequence::~PlanarSequence() = default;
 const FieldCorrelator& PlanarSequence::correlator() const { return impl_->first; }
 
 ComposedField PlanarSequence::Impl::Match(const GrayImage& image, const SeedFinder& seeds) const {
-  const PlanarField* const from = start ? &*start : nullptr;
+  const PlanarField* const from = memory.Expected();
   if (updated) return updated->Correlate(image, {from, nullptr, options.verify_all});
   const FieldStart begin{from, seeds, options.verify_all, curvature.empty() ? nullptr : &curvature};
   ComposedField result{first.Correlate(image, begin), {}, {}};
@@ -133,31 +128,6 @@ void PlanarSequence::Impl::Take(std::unique_ptr<const UpdatedReference> referenc
   reached = {};
 }
 
-// The field's points, and for some frames those that it lost.
-void PlanarSequence::Impl::Remember(const PlanarField& field) {
-  if (!start) {
-    if (std::find(field.status.values().begin(), field.status.values().end(), Status::kOk) ==
-        field.status.values().end()) {
-      return;
-    }
-    start = field;
-    age = Image<std::uint8_t>(field.size(), 0);
-    return;
-  }
-  for (std::size_t i = 0; i < field.status.pixel_count(); ++i) {
-    if (field.status.data()[i] == Status::kOk) {
-      start->displacement_px.data()[i] = field.displacement_px.data()[i];
-      start->gradient.data()[i] = field.gradient.data()[i];
-      start->status.data()[i] = Status::kOk;
-      age.data()[i] = 0;
-    } else if (age.data()[i] >= kRememberFrames) {
-      start->status.data()[i] = field.status.data()[i];
-    } else {
-      ++age.data()[i];
-    }
-  }
-}
-
 // The frame once more, with the one before it as its reference, where that is better; else nothing
 // and nothing changed.
 std::optional<ComposedField> PlanarSequence::Impl::AfterUpdate(const GrayImage& image,
@@ -170,7 +140,7 @@ std::optional<ComposedField> PlanarSequence::Impl::AfterUpdate(const GrayImage& 
                        MedianZncc(again.total.field) > MedianZncc(now.field));
   if (!better) return std::nullopt;
   Take(std::move(anew), last->number);
-  start.reset();
+  memory.Forget();
   return again;
 }
 
@@ -181,7 +151,7 @@ void PlanarSequence::SetCurvature(Image<SubsetCurvature> curvature) {
 void PlanarSequence::Restart() {
   Impl& impl = *impl_;
   impl.Take(nullptr, -1);
-  impl.start.reset();
+  impl.memory.Forget();
   impl.last.reset();
 }
 
@@ -198,7 +168,7 @@ SequenceFrame PlanarSequence::Add(const GrayImage& deformed, std::int64_t number
   ++impl.with_reference;
   impl.reached.ok = std::max(impl.reached.ok, fields.total.counts.ok);
   impl.reached.zncc = std::max(impl.reached.zncc, MedianZncc(fields.total.field));
-  impl.Remember(fields.leg);
+  impl.memory.Take(fields.leg);
 
   SequenceFrame frame{fields.total.field, fields.total.counts, impl.reference_number,
                       impl.updated ? impl.updated->lost() : 0};
@@ -207,8 +177,7 @@ SequenceFrame PlanarSequence::Add(const GrayImage& deformed, std::int64_t number
   // Not to a frame that would lose most of the points for good.
   if (options.reference == ReferenceMode::kEvery && impl.with_reference >= options.update_every &&
       2 * next.fields.total.counts.ok >= impl.reached.ok) {
-    impl.start = impl.Increment(next.fields.total.field);
-    impl.age = Image<std::uint8_t>(impl.start->size(), 0);
+    impl.memory.Replace(impl.Increment(next.fields.total.field));
     impl.Take(impl.ReferenceOf(next), number);
   }
   impl.last = std::move(next);
