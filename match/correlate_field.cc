@@ -17,6 +17,11 @@ namespace {
 using internal::Propagation;
 
 constexpr int kSmallestSeedSubset = 9;  // px, of FftSeedOptions and FeatureSeedOptions
+// Share of the points that the frame before knew which it has to lead to; else it was no good
+// start.
+constexpr double kFewAstray = 0.9;
+// Points whose subsets' equations are kept: 400 MB.
+constexpr std::size_t kMostRemembered = 200'000;
 
 }  // namespace
 
@@ -41,6 +46,7 @@ struct FieldCorrelator::Impl {
         correlator(reference, o.correlator, mask.empty() ? nullptr : &mask) {}
 
   PlanarField EmptyField() const;
+  void RememberPoints(const PlanarField& field);
   const Image<std::uint8_t>* MaskOrNull() const { return mask.empty() ? nullptr : &mask; }
   std::vector<Propagation::Start> StartsOf(const PlanarField& field,
                                            const std::vector<CorrelationSeed>& seeds) const;
@@ -88,6 +94,7 @@ FieldCorrelator::FieldCorrelator(const GrayImage& reference, const FieldOptions&
     throw InputError("The region holds no point to correlate: take a larger one.");
   }
   const PlanarField field = impl_->EmptyField();
+  if (field.status.pixel_count() <= kMostRemembered) impl_->RememberPoints(field);
   if (std::all_of(field.status.values().begin(), field.status.values().end(),
                   [](Status status) { return status == Status::kMasked; })) {
     throw InputError("The mask leaves no point to correlate: it is 0 at every point of the grid.");
@@ -134,6 +141,16 @@ PlanarField FieldCorrelator::Impl::EmptyField() const {
     }
   }
   return field;
+}
+
+void FieldCorrelator::Impl::RememberPoints(const PlanarField& field) {
+  std::vector<Eigen::Vector2i> pixels;
+  for (int r = 0; r < options.grid.height; ++r) {
+    for (int c = 0; c < options.grid.width; ++c) {
+      if (field.status(r, c) != Status::kMasked) pixels.push_back(field.PixelOf(r, c).cast<int>());
+    }
+  }
+  correlator.Remember(pixels);
 }
 
 void FieldCorrelator::Impl::CheckImage(const GrayImage& image) const {
@@ -208,16 +225,19 @@ CorrelatedField FieldCorrelator::Impl::Run(const GrayImage& image, const Correla
   const auto ok = [&] {
     return std::count(field.status.values().begin(), field.status.values().end(), Status::kOk);
   };
-  if (from_seeds) {
+  const bool led_astray =
+      static_cast<double>(ok()) < kFewAstray * static_cast<double>(starts.size());
+  if (from_seeds || led_astray) {
     const std::int64_t before = ok();
-    const std::vector<Propagation::Start> more = StartsOf(field, SeedsForTheRest(image, field));
-    propagation.Try(more);
+    const bool own = !from_seeds && start.seeds;
+    propagation.TryAgain();
+    propagation.Try(StartsOf(field, own ? start.seeds(image) : SeedsForTheRest(image, field)));
     propagation.Spread();
     counts.reseeded = ok() - before;
   }
   counts.seeds = static_cast<std::int64_t>(starts.size());
   if (options.verify) {
-    if (from_seeds || start.verify_back) {
+    if (from_seeds || counts.reseeded > 0 || start.verify_back) {
       internal::RejectNotFoundBack({raw, reference, image, deformed, MaskOrNull()}, options,
                                    propagation, field, counts);
     }

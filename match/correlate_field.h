@@ -57,7 +57,8 @@ using SeedFinder = std::function<std::vector<CorrelationSeed>(const GrayImage& d
 // Where a correlation starts.
 struct FieldStart {
   // A field of the same grid, such as that of the frame before; points where it is not kOk are
-  // reached from their neighbours. Null, or where it leads nowhere: seeds are looked for.
+  // reached from their neighbours. Null, or where it leads nowhere: seeds are looked for; and for
+  // the rest where more than a tenth of its points is lost.
   const PlanarField* prior = nullptr;
   SeedFinder seeds = nullptr;  // null: FindSeeds()
   // Whether points that the prior led to are looked for again from the deformed image (as those

@@ -104,4 +104,6 @@ void Propagation::Spread() {
   }
 }
 
+void Propagation::TryAgain() { std::fill(tries_.values().begin(), tries_.values().end(), 0); }
+
 }  // namespace plumbline::internal

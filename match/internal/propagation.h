@@ -34,6 +34,9 @@ class Propagation {
   // nothing is left that could be reached.
   void Spread();
 
+  // Forgets from where the points that did not match were tried.
+  void TryAgain();
+
   const Warp& WarpOf(std::int64_t point) const { return warps_.data()[point]; }
   Eigen::Vector2i PixelOf(std::int64_t point) const;
 

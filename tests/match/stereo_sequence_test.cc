@@ -103,6 +103,45 @@ INSTANTIATE_TEST_SUITE_P(Strategies, StereoSequenceOf,
                            return name;
                          });
 
+// Both cameras see every point somewhere else by 19 px and 2.5 degrees a frame, so that the last
+// frame leads neighbouring subsets astray.
+TEST(StereoSequence, KeepsThePointsThroughLargeSteps) {
+  const StereoRig rig = Rig();
+  const auto at = [](int frame) {
+    SpeckledSheet sheet;
+    sheet.rig_from_sheet = Rigid3::FromRotationVector({0.05, -0.1 + 0.03 * frame, 0.044 * frame},
+                                                      {5.0 * frame, -1.0 * frame, 400});
+    return sheet;
+  };
+  const SpeckledSheet first = at(0);
+  StereoSequence sequence(rig, first.Left(rig, kNoiseGrey, 1), first.Right(rig, kNoiseGrey, 2),
+                          Options(StereoStrategy::kReference));
+  for (int frame = 1; frame <= 3; ++frame) {
+    const SpeckledSheet now = at(frame);
+    const auto seed = static_cast<std::uint32_t>(10 * frame);
+    const StereoField field =
+        sequence.Add(now.Left(rig, kNoiseGrey, seed), now.Right(rig, kNoiseGrey, seed + 1), frame);
+    int within = 0;
+    for (int r = 0; r < field.left.size().height; ++r) {
+      for (int c = 0; c < field.left.size().width; ++c) {
+        const Eigen::Vector3d point =
+            now.PointInRig(first.MaterialAt(rig, field.left.PixelOf(r, c)));
+        bool inside = sequence.reference().right.status(r, c) == Status::kOk;
+        for (const Eigen::Vector2d& pixel :
+             {rig.left.Project(point), rig.right.Project(rig.right_from_left * point)}) {
+          inside = inside && pixel.minCoeff() > 24 && pixel.x() < kSize.width - 24 &&
+                   pixel.y() < kSize.height - 24;
+        }
+        within += inside ? 1 : 0;
+      }
+    }
+    const Errors errors = Compare(rig, first, now, field);
+    EXPECT_GT(within, 150) << frame;
+    EXPECT_GE(errors.ok, within * 98 / 100) << frame << ", of " << within;
+    EXPECT_EQ(errors.outside, 0) << frame;
+  }
+}
+
 TEST(StereoSequence, StartsAnywhereAfterARestart) {
   const StereoRig rig = Rig();
   const SpeckledSheet first = SheetAt(0), later = SheetAt(6);
