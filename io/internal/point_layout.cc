@@ -1,11 +1,12 @@
 #include "io/internal/point_layout.h"
 
+#include <libdeflate.h>
 #include <oneapi/tbb/parallel_for.h>
-#include <zlib.h>
 
 #include <algorithm>
 #include <cstring>
 #include <limits>
+#include <memory>
 #include <new>
 #include <stdexcept>
 
@@ -26,13 +27,19 @@ std::vector<std::uint8_t> Shuffled(std::span<const std::uint8_t> bytes, std::siz
   return out;
 }
 
-std::vector<std::uint8_t> Deflated(std::span<const std::uint8_t> bytes) {
-  uLongf size = compressBound(static_cast<uLong>(bytes.size()));
-  std::vector<std::uint8_t> out(size);
-  if (compress2(out.data(), &size, bytes.data(), static_cast<uLong>(bytes.size()), 1) != Z_OK) {
-    throw std::bad_alloc();
+struct FreeCompressor {
+  void operator()(libdeflate_compressor* compressor) const {
+    libdeflate_free_compressor(compressor);
   }
-  out.resize(size);
+};
+
+std::vector<std::uint8_t> Deflated(std::span<const std::uint8_t> bytes) {
+  static thread_local const std::unique_ptr<libdeflate_compressor, FreeCompressor> compressor(
+      libdeflate_alloc_compressor(1));
+  if (!compressor) throw std::bad_alloc();
+  std::vector<std::uint8_t> out(libdeflate_zlib_compress_bound(compressor.get(), bytes.size()));
+  out.resize(libdeflate_zlib_compress(compressor.get(), bytes.data(), bytes.size(), out.data(),
+                                      out.size()));
   return out;
 }
 
