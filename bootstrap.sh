@@ -9,7 +9,7 @@ packages=(
   libeigen3-dev libmrcal-dev libceres-dev libsuitesparse-dev libopencv-dev libopencv-contrib-dev libapriltag-dev libpcl-dev
   libhdf5-dev libflann-dev libtbb-dev libcli11-dev libtomlplusplus-dev libspdlog-dev libfmt-dev libpugixml-dev libzip-dev
   libhwy-dev libfftw3-dev
-  libpng-dev libjpeg-dev libtiff-dev libdeflate-dev nlohmann-json3-dev libssl-dev
+  libpng-dev libjpeg-dev libtiff-dev libdeflate-dev libcsv-dev nlohmann-json3-dev libssl-dev
   libgtest-dev libgmock-dev libbenchmark-dev
   python3 python3-numpy python3-h5py python3-mrcal mrcal python3-opencv python3-vtk9
   clang-format clang-tidy

@@ -24,6 +24,12 @@ pkg_check_modules(LIBZIP REQUIRED IMPORTED_TARGET libzip)
 pkg_check_modules(HWY REQUIRED IMPORTED_TARGET libhwy)
 pkg_check_modules(FFTW3F REQUIRED IMPORTED_TARGET fftw3f)
 
+find_library(CSV_LIBRARY csv REQUIRED)
+find_path(CSV_INCLUDE_DIR csv.h REQUIRED)
+add_library(plumbline_csv INTERFACE)
+target_include_directories(plumbline_csv SYSTEM INTERFACE ${CSV_INCLUDE_DIR})
+target_link_libraries(plumbline_csv INTERFACE ${CSV_LIBRARY})
+
 find_library(MRCAL_LIBRARY mrcal REQUIRED)
 find_path(MRCAL_INCLUDE_DIR mrcal/mrcal.h REQUIRED)
 find_library(CHOLMOD_LIBRARY cholmod REQUIRED)

@@ -1,5 +1,6 @@
 #include "io/series_reader.h"
 
+#include <limits>
 #include <stdexcept>
 
 #include "io/internal/hdf5.h"
@@ -118,6 +119,7 @@ struct SeriesReader::Impl {
   }
 
   std::vector<Channel> ReadChannels() const {
+    constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
     std::vector<Channel> channels;
     if (!hdf5::Exists(file.id(), "/channels")) return channels;
     const hdf5::Id group = hdf5::OpenGroup(file.id(), "/channels");
@@ -127,7 +129,9 @@ struct SeriesReader::Impl {
       channels.push_back({name, hdf5::GetText(value.get(), "units"),
                           hdf5::GetText(value.get(), "long_name"),
                           hdf5::ReadArray<double>(own.get(), "time_s", nullptr, kMaxSamples),
-                          hdf5::ReadArray<double>(own.get(), "value", nullptr, kMaxSamples)});
+                          hdf5::ReadArray<double>(own.get(), "value", nullptr, kMaxSamples),
+                          hdf5::GetNumber(own.get(), "clock_offset_s", kUnknown),
+                          hdf5::GetNumber(own.get(), "sigma_clock_offset_s", kUnknown)});
       if (channels.back().time_s.size() != channels.back().value.size()) {
         throw hdf5::Error("the channel " + name + " has not as many times as values");
       }

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <cstdint>
 #include <filesystem>
+#include <limits>
 #include <memory>
 #include <optional>
 #include <string>
@@ -21,8 +22,11 @@ namespace plumbline {
 // axis. value may hold NaN (a dropout).
 struct Channel {
   std::string name, units, long_name;
-  std::vector<double> time_s;  // on the clock of SeriesFrame::time_s; never going back
+  std::vector<double> time_s;  // on a clock of its own; never going back
   std::vector<double> value;
+  // What that clock reads when SeriesFrame::time_s is 0, and its sigma; NaN: not known.
+  double clock_offset_s = std::numeric_limits<double>::quiet_NaN();
+  double sigma_clock_offset_s = std::numeric_limits<double>::quiet_NaN();
 };
 
 struct SeriesHeader {

@@ -4,28 +4,14 @@
 
 #include <algorithm>
 #include <array>
-#include <charconv>
 #include <fstream>
 #include <optional>
 
 #include "calib/error.h"
+#include "io/internal/parse_text.h"
 
 namespace plumbline::internal {
 namespace {
-
-std::string_view Trimmed(std::string_view text) {
-  const std::size_t first = text.find_first_not_of(" \t\r\"");
-  if (first == std::string_view::npos) return {};
-  return text.substr(first, text.find_last_not_of(" \t\r\"") - first + 1);
-}
-
-template <typename Number>
-std::optional<Number> Parse(std::string_view text) {
-  Number value{};
-  const auto [end, error] = std::from_chars(text.data(), text.data() + text.size(), value);
-  if (error != std::errc() || end != text.data() + text.size()) return std::nullopt;
-  return value;
-}
 
 double SecondsPerUnit(const std::string& heading) {
   const std::array<std::pair<std::string_view, double>, 3> units = {
@@ -52,7 +38,7 @@ FrameSelection ParseFrames(const std::string& text, std::int64_t count) {
   for (std::size_t at = 0; at <= text.size();) {
     const std::size_t colon = std::min(text.find(':', at), text.size());
     const std::string_view part = Trimmed(std::string_view(text).substr(at, colon - at));
-    parts.push_back(Parse<std::int64_t>(part));
+    parts.push_back(ParseNumber<std::int64_t>(part));
     if (!part.empty() && !parts.back()) refuse();
     at = colon + 1;
   }
@@ -82,7 +68,7 @@ std::vector<double> ReadTimestamps(const std::filesystem::path& file) {
     const std::size_t comma = line.find_last_of(",;\t");
     const std::string_view cell =
         Trimmed(std::string_view(line).substr(comma == std::string::npos ? 0 : comma + 1));
-    const auto value = Parse<double>(cell);
+    const auto value = ParseNumber<double>(cell);
     if (!value) {
       if (seconds.empty() && unit == 0) {
         unit = SecondsPerUnit(std::string(cell));
@@ -91,7 +77,7 @@ std::vector<double> ReadTimestamps(const std::filesystem::path& file) {
       throw InputError(fmt::format("{}, line {}: \"{}\" is no time", file.string(), number, cell));
     }
     if (unit == 0) unit = *value > 1e12 ? 1e-9 : 1;
-    const auto integer = Parse<std::int64_t>(cell);
+    const auto integer = ParseNumber<std::int64_t>(cell);
     if (seconds.empty()) {
       first_integer = integer;
       first_number = value;

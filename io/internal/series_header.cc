@@ -45,12 +45,13 @@ void WriteChannel(hid_t file, const Channel& channel) {
   hdf5::SetText(group.get(), "NX_class", "NXdata");
   hdf5::SetText(group.get(), "signal", "value");
   hdf5::SetTexts(group.get(), "axes", {"time_s"});
+  hdf5::SetNumber(group.get(), "clock_offset_s", channel.clock_offset_s);
+  hdf5::SetNumber(group.get(), "sigma_clock_offset_s", channel.sigma_clock_offset_s);
   const hsize_t n = channel.value.size();
-  hdf5::MakeScale(
-      hdf5::WriteArray<double>(
-          file, {path + "/time_s", "s", "time, on the clock of /frames/time_s", {n}, {}},
-          channel.time_s),
-      "time_s");
+  hdf5::MakeScale(hdf5::WriteArray<double>(
+                      file, {path + "/time_s", "s", "time, on the clock of the channel", {n}, {}},
+                      channel.time_s),
+                  "time_s");
   hdf5::AttachScales(
       file,
       hdf5::WriteArray<double>(file,

@@ -205,7 +205,9 @@ Recording WriteRecording(const VirtualRig& rig, const fs::path& folder,
   ChannelOptions exact = options.channels;
   exact.noise = false;
   exact.clock_offset_s = -rig.FrameTime(recorded.front());
-  SeriesHeader header = truth.Header(LogWheelChannels(rig, exact));
+  std::vector<Channel> exact_channels = LogWheelChannels(rig, exact);
+  for (Channel& channel : exact_channels) channel.clock_offset_s = channel.sigma_clock_offset_s = 0;
+  SeriesHeader header = truth.Header(exact_channels);
   header.recipe_toml = options.recipe_toml;
   const fs::path truth_file = folder / "truth.h5";
   PairWriter images(folder, scenario, options.images);

@@ -90,8 +90,9 @@ inline SeriesHeader FullHeader(ImageSize grid = {7, 5}) {
   header.rigid_motion_removed = true;
   header.vsg_px = 27;
   header.vsg_mm = 5.5;
-  header.channels = {{"Fz", "N", "vertical force", {-0.1, 0, 0.05, 0.1}, {1, 2, 3, 4}},
-                     {"empty", "", "", {}, {}}};
+  header.channels = {
+      {"Fz", "N", "vertical force", {-0.1, 0, 0.05, 0.1}, {1, 2, 3, 4}, 0.237, 0.001},
+      {"empty", "", "", {}, {}}};
   return header;
 }
 

@@ -65,7 +65,10 @@ TEST(SeriesGroups, ReadBackWhatWasWritten) {
   EXPECT_EQ(channels[0].long_name, "vertical force");
   EXPECT_EQ(channels[0].time_s, header.channels[0].time_s);
   EXPECT_EQ(channels[0].value, header.channels[0].value);
-  EXPECT_EQ(channels[1].units, "1");  // where there is none
+  EXPECT_EQ(channels[0].clock_offset_s, header.channels[0].clock_offset_s);
+  EXPECT_EQ(channels[0].sigma_clock_offset_s, header.channels[0].sigma_clock_offset_s);
+  EXPECT_TRUE(std::isnan(channels[1].clock_offset_s));  // not known
+  EXPECT_EQ(channels[1].units, "1");                    // where there is none
   EXPECT_THAT(Validate(file), IsEmpty());
 }
 
