@@ -8,6 +8,7 @@
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 #include <stdexcept>
 #include <vector>
 
@@ -339,6 +340,51 @@ double ChiSquared(const Vector6& change, const Matrix6& cov, const Eigen::Vector
   return scaled.dot((scale.asDiagonal() * C * scale.asDiagonal()).ldlt().solve(scaled));
 }
 
+// Distances of the points used from their epipolar lines with a pose.
+struct EpipolarDistances {
+  double mean_px = 0, rms_px = 0;
+
+  EpipolarDistances(const Matches& matches, const EpipolarFit& fit, const Rigid3& right_from_left) {
+    const UnitPose pose(right_from_left);
+    double sum = 0, squares = 0, points = 0;
+    for (std::size_t i = 0; i < matches.rays.size(); ++i) {
+      if (!fit.Used(i)) continue;
+      const MatchRays& m = matches.rays[i];
+      const internal::EpipolarConstraint at(m.r0, m.F0, m.r1, m.F1, pose.R, pose.t);
+      const double distance_px = at.a / at.per_px();
+      sum += distance_px;
+      squares += distance_px * distance_px;
+      points += 1;
+    }
+    mean_px = sum / points;
+    rms_px = std::sqrt(squares / points);
+  }
+};
+
+// How the matches lie about their epipolar lines.
+void SetScatter(const Rigid3& before, const Matches& matches, const EpipolarFit& fit,
+                const std::optional<Rigid3>& other, RelativePose& out) {
+  double z2 = 0, expected = 0;
+  for (std::size_t i = 0; i < matches.rays.size(); ++i) {
+    if (!fit.Used(i)) {
+      ++out.mismatches;
+      continue;
+    }
+    ++out.points;
+    const EpipolarResidual& r = fit.residuals()[i];
+    z2 += r.z * r.z;
+    expected += r.sigma_px * r.sigma_px;
+  }
+  out.sigma0 = std::sqrt(z2 / (out.points - 5));
+  out.epipolar_sigma_px = std::sqrt(expected / out.points);
+  const EpipolarDistances at_rig(matches, fit, before);
+  out.epipolar_mean_before_px = at_rig.mean_px;
+  out.epipolar_rms_before_px = at_rig.rms_px;
+  out.epipolar_rms_after_px = EpipolarDistances(matches, fit, out.right_from_left).rms_px;
+  out.epipolar_rms_other_px = other ? EpipolarDistances(matches, fit, *other).rms_px
+                                    : std::numeric_limits<double>::quiet_NaN();
+}
+
 }  // namespace
 
 void RelativePoseOptions::Check() const {
@@ -376,30 +422,13 @@ RelativePose RefineRelativePose(const StereoRig& rig,
   StereoRig refined = rig;
   refined.right_from_left = out.right_from_left = Scaled(rig, fit.pose(), rig.baseline_mm(), ruler);
   out.change = ChangeOf(out.right_from_left * rig.right_from_left.Inverse());
+  SetScatter(rig.right_from_left, matches, fit, options.other_pose, out);
   out.cov_random = RandomPart(refined, fit, ruler, out.change);
+  if (options.scale_by_scatter) out.cov_random *= std::max(1.0, out.sigma0 * out.sigma0);
   out.cov_calibration = CalibrationPart(rig, matches, fit, ruler, out.change);
   out.degrees_of_freedom = ruler ? 6 : 5;
   out.chi2 = ChiSquared(out.change, out.cov_random + out.cov_calibration,
                         out.right_from_left.translation_mm, out.degrees_of_freedom);
-
-  const UnitPose before(rig.right_from_left);
-  double z2 = 0, before2 = 0, after2 = 0;
-  for (std::size_t i = 0; i < matches.rays.size(); ++i) {
-    if (!fit.Used(i)) {
-      ++out.mismatches;
-      continue;
-    }
-    ++out.points;
-    const EpipolarResidual& r = fit.residuals()[i];
-    const double was =
-        internal::EvaluateEpipolar(matches.rays[i], before.R, before.t, before.B).distance_px;
-    z2 += r.z * r.z;
-    after2 += r.distance_px * r.distance_px;
-    before2 += was * was;
-  }
-  out.epipolar_rms_before_px = std::sqrt(before2 / out.points);
-  out.epipolar_rms_after_px = std::sqrt(after2 / out.points);
-  out.sigma0 = std::sqrt(z2 / (out.points - 5));
   return out;
 }
 

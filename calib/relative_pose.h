@@ -46,6 +46,11 @@ struct RelativePoseOptions {
   // Beyond so many sigmas from its epipolar line a match is a mismatch. The sigmas are the given
   // ones, or what the median residual says where that is more.
   double outlier_sigmas = 4.5;
+  // Where the matches scatter by more than they claim, so does the pose: cov_random is multiplied
+  // by sigma0^2 if that is above 1, in chi2 too.
+  bool scale_by_scatter = false;
+  // Another right_from_left that the epipolar distances of the points are told with.
+  std::optional<Rigid3> other_pose;
 
   // Throws UsageError naming the broken constraint.
   void Check() const;
@@ -57,17 +62,20 @@ struct RelativePose {
   // The refined pose is  Rigid3::FromRotationVector(change.head<3>(), change.tail<3>()) *
   // rig.right_from_left: the motion of the right camera, in its own frame.
   Eigen::Matrix<double, 6, 1> change = Eigen::Matrix<double, 6, 1>::Zero();
-  // Of `change`, from the noise of the matches alone, as given by their covariances (times sigma0^2
-  // if that is what you believe). Of rank 5 without a known distance: nothing along t.
+  // Of `change`, from the noise of the matches alone, as given by their covariances (see
+  // scale_by_scatter). Of rank 5 without a known distance: nothing along t.
   Eigen::Matrix<double, 6, 6> cov_random = Eigen::Matrix<double, 6, 6>::Zero();
   // Of `change`, from the calibration: how a camera that did not move seems to have moved because
   // the rig is not quite as calibrated. The refinement re-evaluated once a mode, to first order in
   // the residuals, each from the mode's own pose. Zero when the rig carries no modes.
   Eigen::Matrix<double, 6, 6> cov_calibration = Eigen::Matrix<double, 6, 6>::Zero();
   // Root mean square distance from the epipolar line, px of the right image, of the points used;
-  // with the rig's pose and with the refined one.
+  // with the rig's pose, with the refined one and with options.other_pose (NaN without it).
   double epipolar_rms_before_px = 0;
   double epipolar_rms_after_px = 0;
+  double epipolar_rms_other_px = 0;
+  double epipolar_mean_before_px = 0;  // signed (TriangulatedPoint::epipolar_px)
+  double epipolar_sigma_px = 0;        // the rms that the given covariances let expect
   double sigma0 = 0;   // sqrt(sum z^2 / (points - 5)): 1 where the given covariances are right
   int points = 0;      // used
   int mismatches = 0;  // left out, of those looked at

@@ -173,27 +173,15 @@ Observed Observe(const StereoField& field, const Image<Eigen::Vector3f>& cov_px2
 
 void RejectMismatches(const EpipolarOptions& options, StereoSurface& surface) {
   const EpipolarTrend trend(surface);
-  double sum = 0, squares = 0, expected = 0;
-  std::int64_t count = 0;
   for (std::size_t i = 0; i < surface.status.pixel_count(); ++i) {
     if (surface.status.data()[i] != Status::kOk) continue;
     const auto off = static_cast<double>(surface.epipolar_px.data()[i]);
     const auto sigma = static_cast<double>(surface.sigma_epipolar_px.data()[i]);
     const double limit = options.tolerance_px + options.sigmas * std::hypot(sigma, trend.scatter());
-    if (!(std::abs(off - trend.Common(i)) <= limit)) {
-      surface.status.data()[i] = Status::kEpipolarViolation;
-      TakeBack(surface.instant, i);
-      continue;
-    }
-    sum += off;
-    squares += off * off;
-    expected += sigma * sigma;
-    ++count;
+    if (std::abs(off - trend.Common(i)) <= limit) continue;
+    surface.status.data()[i] = Status::kEpipolarViolation;
+    TakeBack(surface.instant, i);
   }
-  const auto n = static_cast<double>(count);
-  surface.mean_epipolar_px = sum / n;
-  surface.rms_epipolar_px = std::sqrt(squares / n);
-  surface.expected_epipolar_px = std::sqrt(expected / n);
 }
 
 }  // namespace

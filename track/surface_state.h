@@ -60,9 +60,6 @@ struct StereoSurface {
   // from the noise of the images.
   Image<float> epipolar_px, sigma_epipolar_px;
   Image<Status> status;
-  // Of the valid points.
-  double mean_epipolar_px = 0, rms_epipolar_px = 0;
-  double expected_epipolar_px = 0;  // rms of the sigmas
 };
 
 // The matches of the points in every `stride`-th row and column, with the joint covariance of both

@@ -3,10 +3,8 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
-#include <string>
 
 #include "calib/error.h"
-#include "calib/median.h"
 
 namespace plumbline::internal {
 namespace {
@@ -32,40 +30,12 @@ std::vector<Vector6> ErrorsOf(const Matrix6& cov, double baseline_mm) {
   return errors;
 }
 
-// Distances from the epipolar lines, px of the right image.
-struct Epipolar {
-  double mean_px = 0, rms_px = 0, expected_px = 0;
-};
-
-// Mismatches, far outside of the scatter about the median, are left out.
-Epipolar EpipolarOf(const StereoRig& rig, std::span<const StereoObservation> observations) {
-  std::vector<TriangulatedPoint> points = Triangulate(rig, observations);
-  std::erase_if(points, [](const TriangulatedPoint& p) { return !std::isfinite(p.epipolar_px); });
-  if (points.empty()) return {};
-  std::vector<double> values;
-  for (const TriangulatedPoint& point : points) values.push_back(point.epipolar_px);
-  const double middle = Median(values);
-  for (double& value : values) value = std::abs(value - middle);
-  constexpr double kFarOff = 8;  // median deviations: 5.4 sigmas of normal scatter
-  const double limit = kFarOff * Median(values);
-  Epipolar out;
-  double n = 0;
-  for (const TriangulatedPoint& point : points) {
-    if (std::abs(point.epipolar_px - middle) > limit) continue;
-    out.mean_px += point.epipolar_px;
-    out.rms_px += point.epipolar_px * point.epipolar_px;
-    out.expected_px += point.sigma_epipolar_px * point.sigma_epipolar_px;
-    n += 1;
-  }
-  out.mean_px /= n;
-  out.rms_px = std::sqrt(out.rms_px / n);
-  out.expected_px = std::sqrt(out.expected_px / n);
-  return out;
-}
-
-// Where the matches scatter by more than they claim, so does the pose.
-double Believed(double chi2, const RelativePose& pose) {
-  return chi2 / std::max(1.0, pose.sigma0 * pose.sigma0);
+// other: see RelativePoseOptions.
+RelativePoseOptions PoseOptions(const std::optional<Rigid3>& other) {
+  RelativePoseOptions options;
+  options.scale_by_scatter = true;
+  options.other_pose = other;
+  return options;
 }
 
 // By how much a motion takes points from their epipolar lines, from the rms with it and without.
@@ -73,12 +43,12 @@ double TakenBy(double with_px, double without_px) {
   return std::sqrt(std::max(0.0, with_px * with_px - without_px * without_px));
 }
 
-RigWatchRecord RecordOf(const RelativePose& pose, const Epipolar& epipolar) {
+RigWatchRecord RecordOf(const RelativePose& pose) {
   RigWatchRecord record;
   record.found = true;
-  record.epipolar_mean_px = epipolar.mean_px;
-  record.epipolar_rms_px = epipolar.rms_px;
-  record.epipolar_sigma_px = epipolar.expected_px;
+  record.epipolar_mean_px = pose.epipolar_mean_before_px;
+  record.epipolar_rms_px = pose.epipolar_rms_before_px;
+  record.epipolar_sigma_px = pose.epipolar_sigma_px;
   record.chi2_calibration = pose.chi2;
   record.change = pose.change;
   record.sigma_random_change = pose.cov_random.diagonal().cwiseMax(0).cwiseSqrt();
@@ -101,8 +71,8 @@ Rigid3 RigWatch::WithBaseline(Rigid3 pose) const {
 RigWatch::Verdict RigWatch::Reference(std::span<const StereoObservation> observations) {
   Verdict verdict{{}, rig_, {}};
   try {
-    first_ = RefineRelativePose(rig_, observations);
-    verdict.record = RecordOf(*first_, EpipolarOf(rig_, observations));
+    first_ = RefineRelativePose(rig_, observations, PoseOptions({}));
+    verdict.record = RecordOf(*first_);
     verdict.record.chi2_first = 0;
     verdict.record.alarm =
         Moved(first_->chi2, TakenBy(first_->epipolar_rms_before_px, first_->epipolar_rms_after_px));
@@ -128,15 +98,13 @@ RigWatch::Verdict RigWatch::Later(std::span<const StereoObservation> observation
   Verdict verdict{{}, base_, {}};
   try {
     if (!first_) throw InputError("the reference pair does not tell the pose of the cameras");
-    const RelativePose now = RefineRelativePose(rig_, observations);
+    const RelativePose now =
+        RefineRelativePose(rig_, observations, PoseOptions(first_->right_from_left));
     const PoseChange since = Between(*first_, now);
-    verdict.record = RecordOf(now, EpipolarOf(rig_, observations));
+    verdict.record = RecordOf(now);
     verdict.record.chi2_first = since.chi2;
-    StereoRig as_before = rig_;
-    as_before.right_from_left = first_->right_from_left;
-    const double by_px =
-        TakenBy(EpipolarOf(as_before, observations).rms_px, now.epipolar_rms_after_px);
-    verdict.record.alarm = Moved(Believed(since.chi2, now), by_px);
+    verdict.record.alarm =
+        Moved(since.chi2, TakenBy(now.epipolar_rms_other_px, now.epipolar_rms_after_px));
     const bool refine =
         options_.refinement == PoseRefinement::kAlways ||
         (options_.refinement == PoseRefinement::kWhenSignificant && verdict.record.alarm);

@@ -23,9 +23,10 @@ class RigWatch {
  public:
   struct Options {
     PoseRefinement refinement = PoseRefinement::kOff;
-    // The camera has moved where the chi-squared (5 degrees of freedom) of its motion is above
-    // alarm_chi2, and where it takes the points from their epipolar lines by more than
-    // alarm_epipolar_px (rms): what lenses get wrong is no motion.
+    // The camera has moved where the chi-squared (5 degrees of freedom) of its motion, by what the
+    // matches scatter where that is more than they claim, is above alarm_chi2, and where it takes
+    // the points from their epipolar lines by more than alarm_epipolar_px (rms): what lenses get
+    // wrong is no motion.
     double alarm_chi2 = 40;
     double alarm_epipolar_px = 0.015;
   };

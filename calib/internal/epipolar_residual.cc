@@ -17,6 +17,7 @@ EpipolarResidual EvaluateEpipolar(const MatchRays& match, const Eigen::Matrix3d&
   out.sigma = std::sqrt(at.d_pixels.dot(Sg));
   out.z = at.a / out.sigma;
   out.distance_px = at.a / at.per_px();
+  out.sigma_px = out.sigma / at.per_px();
   out.d_a << m.cross(r1).transpose(), u.cross(r1).transpose() * B;
   out.d_a /= out.sigma;
   Eigen::Matrix<double, 4, 5> d_g;

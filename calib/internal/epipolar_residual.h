@@ -21,6 +21,7 @@ struct EpipolarResidual {
   double z = 0;            // a / sigma: in units of its own sigma
   double sigma = 0;        // of a; NaN where its square is not positive
   double distance_px = 0;  // of the right pixel from the epipolar line
+  double sigma_px = 0;     // of that distance
   Row d_z = Row::Zero();
   Row d_a = Row::Zero();  // over sigma: what d_z is without the change of sigma
 };

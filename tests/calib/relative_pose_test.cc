@@ -386,6 +386,56 @@ TEST(RelativePose, GrossMismatchesDoNotMatter) {
   EXPECT_NEAR(nees, 5, 1);
 }
 
+TEST(RelativePose, CountsTheScatterOfTheMatchesWhereItIsAskedTo) {
+  const StereoRig rig = MakeRig();
+  const auto points = Points(rig, Surface::kCurved, 20, 17);
+  RelativePoseOptions options;
+  options.scale_by_scatter = true;
+  double chi2 = 0, nees = 0;
+  const int draws = 200;
+  for (int i = 0; i < draws; ++i) {
+    Observations seen = See(rig, points, static_cast<unsigned>(4000 + i));
+    for (StereoObservation& match : seen) match.cov_px2 /= 9;
+    const RelativePose pose = RefineRelativePose(rig, seen, options);
+    EXPECT_NEAR(pose.sigma0, 3, 0.5);
+    chi2 += pose.chi2 / draws;
+    nees += Nees(pose.change, pose.cov_random, pose.right_from_left.translation_mm, 5) / draws;
+  }
+  EXPECT_NEAR(chi2, 5, 1);
+  EXPECT_NEAR(nees, 5, 1);
+  // Matches that scatter less than they claim are not believed to be better.
+  Observations seen = See(rig, points, 4500);
+  for (StereoObservation& match : seen) match.cov_px2 *= 9;
+  EXPECT_EQ(RefineRelativePose(rig, seen, options).cov_random,
+            RefineRelativePose(rig, seen).cov_random);
+}
+
+TEST(RelativePose, TellsTheDistancesFromTheEpipolarLinesOfThreePoses) {
+  const StereoRig rig = MakeRig();
+  Vector6 bump = Vector6::Zero();
+  bump[0] = 0.01 * kRad;
+  const StereoRig moved = Bumped(rig, bump);
+  const Observations seen = See(moved, Points(rig, Surface::kCurved), 60);
+  RelativePoseOptions options;
+  options.other_pose = moved.right_from_left;
+  options.outlier_sigmas = 1e3;  // all are used
+  const RelativePose pose = RefineRelativePose(rig, seen, options);
+  double mean = 0, before = 0, other = 0, expected = 0;
+  for (const StereoObservation& match : seen) {
+    const TriangulatedPoint a = Triangulate(rig, match), b = Triangulate(moved, match);
+    const double n = static_cast<double>(seen.size());
+    mean += a.epipolar_px / n;
+    before += a.epipolar_px * a.epipolar_px / n;
+    other += b.epipolar_px * b.epipolar_px / n;
+    expected += b.sigma_epipolar_px * b.sigma_epipolar_px / n;
+  }
+  EXPECT_NEAR(pose.epipolar_mean_before_px, mean, 1e-9);
+  EXPECT_NEAR(pose.epipolar_rms_before_px, std::sqrt(before), 1e-9);
+  EXPECT_NEAR(pose.epipolar_rms_other_px, std::sqrt(other), 1e-9);
+  EXPECT_NEAR(pose.epipolar_sigma_px, std::sqrt(expected), 1e-5);
+  EXPECT_TRUE(std::isnan(RefineRelativePose(rig, seen).epipolar_rms_other_px));
+}
+
 TEST(RelativePose, ADifferenceBetweenInstantsIsFreeOfTheCalibration) {
   StereoRig rig = MakeRig();
   AddModes(rig);

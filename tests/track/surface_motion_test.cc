@@ -212,8 +212,11 @@ TEST(EpipolarDistance, TakesOutMismatchesAndNotWhatAllPointsHave) {
   const auto violations = std::count(surface.status.values().begin(), surface.status.values().end(),
                                      Status::kEpipolarViolation);
   EXPECT_EQ(violations, 1);
-  EXPECT_NEAR(std::abs(surface.mean_epipolar_px), 1.5, 0.2);
-  EXPECT_NEAR(surface.rms_epipolar_px, 1.5, 0.2);
+  // What all points have is far above the tolerance: 1 mrad at 1500 px.
+  for (std::size_t i = 0; i < surface.status.pixel_count(); ++i) {
+    if (surface.status.data()[i] != Status::kOk) continue;
+    EXPECT_NEAR(std::abs(surface.epipolar_px.data()[i]), 1.5F, 0.2F);
+  }
 }
 
 TEST(SurfaceStates, OfDifferentGridsAreRefused) {
