@@ -39,9 +39,7 @@ double WeightOf(const PlanarField& field, int row, int column, GaugeWeights weig
   if (field.status(row, column) != Status::kOk || !field.displacement_px(row, column).allFinite() ||
       !cov.allFinite() || cov[0] < 0 || cov[2] < 0)
     return 0;
-  if (weights == GaugeWeights::kEqual) return 1;
-  const double mean_px2 = 0.5 * (static_cast<double>(cov[0]) + cov[2]);
-  return mean_px2 > 0 ? 1 / mean_px2 : 0;
+  return internal::WeightOf(cov, weights);
 }
 
 // Strain and all that follows from it at one point. Its status becomes kFailedVerification where

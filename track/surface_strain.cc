@@ -156,14 +156,14 @@ struct SurfaceGauges::State {
     vsg_mm = VsgMm();
   }
 
-  // 1 where the reference has a point with a covariance.
+  // Of the reference's points; 0 without a point or its covariance.
   Image<double> Weights() const {
     Image<double> weight(cov_px2.size(), 0.0);
     for (std::size_t i = 0; i < weight.pixel_count(); ++i) {
       const Eigen::Vector3f& cov = cov_px2.data()[i];
       const bool usable =
           reference.point_mm.data()[i].allFinite() && cov.allFinite() && cov[0] >= 0 && cov[2] >= 0;
-      weight.data()[i] = usable ? 1 : 0;
+      if (usable) weight.data()[i] = internal::WeightOf(cov, options.weights);
     }
     return weight;
   }
@@ -189,7 +189,8 @@ struct SurfaceGauges::State {
     return mm_per_px.empty() ? kNan : vsg_px * Median(std::move(mm_per_px));
   }
 
-  // Whether a gauge of the tile has lost a point of the reference.
+  // Whether a gauge of the tile has lost a point of the reference. present: the weights of those
+  // that are there, 0 for others.
   bool IsTouched(const internal::GridTile& tile, const Image<double>& present) const {
     const ImageSize size = present.size();
     const int h = data.half;
@@ -334,8 +335,7 @@ SurfaceStrain SurfaceGauges::Strain(const SurfaceState& now, const Image<Status>
   for (std::size_t i = 0; i < present.pixel_count(); ++i) {
     const bool ok = status.data()[i] == Status::kOk;
     out.status.data()[i] = ok ? Status::kFailedVerification : status.data()[i];
-    if (ok && state.data.weight.data()[i] > 0 && now.point_mm.data()[i].allFinite())
-      present.data()[i] = 1;
+    if (ok && now.point_mm.data()[i].allFinite()) present.data()[i] = state.data.weight.data()[i];
   }
   tbb::parallel_for(std::size_t{0}, state.tiles.size(),
                     [&](std::size_t i) { state.SetTile(state.tiles[i], now, present, out); });

@@ -9,6 +9,7 @@
 #include "calib/image.h"
 #include "calib/status.h"
 #include "match/neighbour_correlation.h"
+#include "track/planar_strain.h"
 #include "track/strain_measure.h"
 #include "track/surface_state.h"
 
@@ -18,6 +19,8 @@ struct SurfaceStrainOptions {
   StrainMeasure measure = StrainMeasure::kGreenLagrange;
   int window_points = 9;  // side of the gauge, odd, 3 or more
   int order = 1;          // of the polynomial, 1 or 2
+  // Of the gauge's points; of the inverse of their mean variance in the reference.
+  GaugeWeights weights = GaugeWeights::kEqual;
   // As of PlanarStrainOptions: no one-sided extrapolation at edges and holes.
   double min_share = 0.7;
   double min_quarter_share = 0.25;
@@ -63,8 +66,9 @@ struct SurfaceStrain {
 // points about each point of the grid. What is the same in all frames is worked out once.
 //
 // Over the gauge's valid points, those of the reference X that are there now, X and the points now,
-// x, are fitted by polynomials of the order in the pixels of the reference image, with equal
-// weights. Their gradients at the centre, A and a (3x2), are tangents of both surfaces:
+// x, are fitted by polynomials of the order in the pixels of the reference image, with weights of 1
+// or the inverse of the mean of uu and vv of cov_px2. Their gradients at the centre, A and a (3x2),
+// are tangents of both surfaces:
 //   T = [e1 e2]' A,  F = [f1 f2]' a T^-1,  strain = StrainOf(F - 1, measure).
 // Both fits are the same linear filter, so that a rigid motion has no strain however curved the
 // surface is (kSmall: without turning about the normal).

@@ -79,8 +79,7 @@ void AnalyseCommand::Declare(OptionTable& options) {
               &output_);
   options.Add({.name = "overwrite", .help = "replace the output file if it is there"}, &overwrite_);
   evaluation_.DeclareGround(options);
-  evaluation_.Declare(options);
-  evaluation_.strain().DeclareWeights(options);
+  evaluation_.Declare(options, StrainOptionSet::Of::kEither);
 }
 
 CommandReport AnalyseCommand::Report(const fs::path& output, const PlanarSeriesHeader& header,
@@ -145,15 +144,22 @@ SeriesFrame ReferenceFrame(const SeriesReader& series, const std::string& file) 
         "with --matcher dic.",
         file));
   }
+  const std::string& reference = series.displacement_reference();
   for (std::int64_t i = 0; i < series.frame_count(); ++i) {
     SeriesFrame frame = series.Frame(i);
-    if (fmt::format("frame {}", frame.index) == series.displacement_reference()) return frame;
+    if (fmt::format("frame {}", frame.index) == reference && frame.problem.empty()) return frame;
   }
-  throw InputError(
-      fmt::format("'{}' does not hold the pair that its displacements count from ({}); of a run in "
-                  "shards, merge "
-                  "them first.",
-                  file, series.displacement_reference()));
+  if (const auto& shard = series.facts().shard) {
+    throw InputError(fmt::format(
+        "'{}' is part {} of {} of a run, and does not hold the pair that displacements count from "
+        "({}): join the parts with plumbline merge and analyse the whole.",
+        file, shard->index + 1, shard->count, reference));
+  }
+  throw InputError(fmt::format(
+      "'{}' does not hold the matches of the pair that displacements count from ({}): the run took "
+      "it with --reference-frame, but not among its --frames, or was broken off before it; measure "
+      "again with --frames that hold it.",
+      file, reference));
 }
 
 CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const CommonOptions& common,

@@ -61,8 +61,7 @@ void CorrelateCommand::Declare(OptionTable& options) {
   DeclareMatching(options);
   DeclareSequence(options);
   options.Add({.name = "no-strain", .help = "leave the strain out"}, &no_strain_);
-  strain_.Declare(options);
-  strain_.DeclareWeights(options);
+  strain_.Declare(options, StrainOptionSet::Of::kPlanar);
   options.Add({.name = "gradient-covariance",
                .help = "also store the 4x4 covariance of each subset's gradient"},
               &gradient_covariance_);

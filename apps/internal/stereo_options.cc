@@ -28,7 +28,7 @@ void EvaluationOptionSet::DeclareGround(OptionTable& options) {
               &point_covariance_);
 }
 
-void EvaluationOptionSet::Declare(OptionTable& options) {
+void EvaluationOptionSet::Declare(OptionTable& options, StrainOptionSet::Of of) {
   options.Add(
       {.name = "epipolar-tolerance",
        .help = "distance from its epipolar line, beyond the trend of all points and 5 sigmas, at "
@@ -47,7 +47,7 @@ void EvaluationOptionSet::Declare(OptionTable& options) {
                .choices = {"off", "significant", "always"}},
               &refine_pose_);
   options.Add({.name = "no-strain", .help = "leave the strain out"}, &no_strain_);
-  strain_.Declare(options);
+  strain_.Declare(options, of);
   options.Add({.name = "strain-axes",
                .help = "what the local x axis of strains follows: material (columns of the image), "
                        "ground (x of the positions' frame) or a direction in that frame",

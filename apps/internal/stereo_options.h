@@ -16,7 +16,8 @@ namespace plumbline::internal {
 // and `analyse` of a stereo run have in common.
 class EvaluationOptionSet {
  public:
-  void Declare(OptionTable& options);
+  // of: StrainOptionSet::Of::kEither where the command takes planar runs too.
+  void Declare(OptionTable& options, StrainOptionSet::Of of = StrainOptionSet::Of::kSurface);
   SurfaceEvaluationOptions Options(std::uint64_t seed) const;  // throws UsageError
 
   // The options of the plane, and whether positions are told in its frame, are declared apart:
@@ -26,7 +27,7 @@ class EvaluationOptionSet {
   bool in_ground_frame() const { return frame_ == "ground"; }
   bool point_covariance() const { return point_covariance_; }
   bool remove_rigid_motion() const { return remove_rigid_motion_; }
-  StrainOptionSet& strain() { return strain_; }
+  const StrainOptionSet& strain() const { return strain_; }
 
  private:
   GroundPlaneOptions ground_;

@@ -6,14 +6,18 @@
 
 namespace plumbline::internal {
 
-void StrainOptionSet::Declare(OptionTable& options) {
-  options.Add({.name = "strain-window",
-               .help = "side of the virtual strain gauge, odd; its size in px (VSG) is "
-                       "(window - 1) * step + subset; 1: the subset's own gradient",
-               .unit = "points",
-               .min = 1,
-               .max = 255},
-              &options_.window_points);
+void StrainOptionSet::Declare(OptionTable& options, Of of) {
+  const std::string window =
+      "side of the virtual strain gauge, odd; its size in px (VSG) is (window - 1) * step + subset";
+  options.Add(
+      {.name = "strain-window",
+       .help = of == Of::kSurface  ? window
+               : of == Of::kPlanar ? window + "; 1: the subset's own gradient"
+                                   : window + "; 1, of one camera only: the subset's own gradient",
+       .unit = "points",
+       .min = of == Of::kSurface ? 3.0 : 1.0,
+       .max = 255},
+      &options_.window_points);
   options.Add({.name = "strain-measure",
                .help = "which strain; all but small hold for any rotation",
                .choices = {"green_lagrange", "small", "hencky", "almansi"}},
@@ -28,9 +32,6 @@ void StrainOptionSet::Declare(OptionTable& options) {
                .min = 0.01,
                .max = 1},
               &options_.min_share);
-}
-
-void StrainOptionSet::DeclareWeights(OptionTable& options) {
   options.Add({.name = "strain-weights",
                .help = "weights of the gauge's points",
                .choices = {"equal", "inverse-variance"}},
@@ -53,6 +54,7 @@ SurfaceStrainOptions StrainOptionSet::OptionsOfSurface() const {
   options.measure = planar.measure;
   options.window_points = planar.window_points;
   options.order = planar.order;
+  options.weights = planar.weights;
   options.min_share = planar.min_share;
   options.min_quarter_share = planar.min_quarter_share;
   options.Check();

@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <string>
 
 #include "apps/internal/option_table.h"
@@ -11,10 +12,12 @@ namespace plumbline::internal {
 // The options of a strain gauge, the same wherever strain is worked out.
 class StrainOptionSet {
  public:
+  // What strain is worked out of: a gauge of one point is that of a planar subset alone.
+  enum class Of : std::uint8_t { kPlanar, kSurface, kEither };
+
   explicit StrainOptionSet(int window_points) { options_.window_points = window_points; }
 
-  void Declare(OptionTable& options);             // all but the weights
-  void DeclareWeights(OptionTable& options);      // of the points of planar gauges
+  void Declare(OptionTable& options, Of of);
   PlanarStrainOptions Options() const;            // throws UsageError
   SurfaceStrainOptions OptionsOfSurface() const;  // throws UsageError
 

@@ -33,6 +33,7 @@ struct NoiseCase {
   int window_points, order;
   StrainMeasure measure;
   bool holes, along_x;
+  GaugeWeights weights = GaugeWeights::kEqual;
 };
 
 class SigmaOfSurfaceStrain : public ::testing::TestWithParam<NoiseCase> {};
@@ -85,6 +86,7 @@ TEST_P(SigmaOfSurfaceStrain, HoldsOverDrawsOfTheMatches) {
   options.window_points = given.window_points;
   options.order = given.order;
   options.measure = given.measure;
+  options.weights = given.weights;
   if (given.along_x) options.x_direction = Eigen::Vector3d(1, 1, -0.5);
   const auto measure = [&](const SurfaceState& before, const SurfaceState& after) {
     return SurfaceGauges(before, cov_px2, neighbours, kStepPx, kSubsetPx, options)
@@ -142,7 +144,29 @@ INSTANTIATE_TEST_SUITE_P(Gauges, SigmaOfSurfaceStrain,
                          ::testing::Values(NoiseCase{7, 1, StrainMeasure::kGreenLagrange, false,
                                                      false},
                                            NoiseCase{7, 1, StrainMeasure::kAlmansi, true, false},
-                                           NoiseCase{5, 2, StrainMeasure::kHencky, true, true}));
+                                           NoiseCase{5, 2, StrainMeasure::kHencky, true, true},
+                                           NoiseCase{7, 1, StrainMeasure::kGreenLagrange, true,
+                                                     false, GaugeWeights::kInverseVariance}));
+
+TEST(SigmaOfSurfaceStrain, IsSmallerWhereSurePointsCountMore) {
+  SurfaceState reference = InstantOf(kGrid, OnSaddle), now = InstantOf(kGrid, OnLoadedSaddle);
+  AddMatches(reference, true);
+  AddMatches(now, false);
+  // Every third column has little texture. Subsets do not overlap.
+  Image<Eigen::Vector3f> cov_px2(kGrid, Eigen::Vector3f(1e-4F, 0, 1e-4F));
+  for (int r = 0; r < kGrid.height; ++r) {
+    for (int c = 0; c < kGrid.width; c += 3) cov_px2(r, c) *= 25;
+  }
+  const auto variance = [&](GaugeWeights weights) {
+    SurfaceStrainOptions options;
+    options.weights = weights;
+    const SurfaceGauges gauges(reference, cov_px2,
+                               NeighbourCorrelation::OfOverlap(kGrid, 30, kSubsetPx, 1), 30,
+                               kSubsetPx, options);
+    return gauges.Strain(now, AllOk(kGrid)).cov_strain(10, 12)[0];
+  };
+  EXPECT_LT(variance(GaugeWeights::kInverseVariance), 0.5F * variance(GaugeWeights::kEqual));
+}
 
 TEST(SigmaOfSurfaceStrain, IsZeroForTheSameMatchesOnceMore) {
   SurfaceState reference = InstantOf(kGrid, OnSaddle);

@@ -208,9 +208,12 @@ TEST(SurfaceStrain, OfAFrameWithMissingPointsIsThatOfAReferenceWithoutThem) {
     status(r, c) = Status::kLowCorrelation;
     Remove(less, r, c);
   }
-  for (const int order : {1, 2}) {
+  for (const auto& [order, weights] : {std::pair{1, GaugeWeights::kEqual},
+                                       {2, GaugeWeights::kEqual},
+                                       {1, GaugeWeights::kInverseVariance}}) {
     SurfaceStrainOptions options;
     options.order = order;
+    options.weights = weights;
     const SurfaceStrain strain = GaugesOf(reference, options).Strain(now, status);
     const SurfaceStrain expected = GaugesOf(less, options).Strain(now, AllOk(kGrid));
     int ok = 0;

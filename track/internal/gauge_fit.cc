@@ -346,11 +346,18 @@ bool GaugeRule::IsMetBy(const GaugeFit& fit) const {
   return fit.solved && *std::min_element(quarters.begin(), quarters.end()) >= min_quarter_points;
 }
 
+double WeightOf(const Eigen::Vector3f& cov_px2, GaugeWeights weights) {
+  if (weights == GaugeWeights::kEqual) return 1;
+  const double mean_px2 = 0.5 * (static_cast<double>(cov_px2[0]) + static_cast<double>(cov_px2[2]));
+  return mean_px2 > 0 ? 1 / mean_px2 : 0;
+}
+
 void CheckGauge(int window_points, int min_window_points, int order, double min_share,
                 double min_quarter_share) {
   if (window_points < min_window_points || window_points > 255 || window_points % 2 == 0)
-    throw UsageError(fmt::format("window_points must be odd and between {} and 255, not {}",
-                                 min_window_points, window_points));
+    throw UsageError(fmt::format(
+        "the window of a strain gauge must be odd and between {} and 255 points, not {}",
+        min_window_points, window_points));
   if (order != 1 && order != 2)
     throw UsageError(fmt::format("the order of a strain gauge must be 1 or 2, not {}", order));
   if (!(min_share > 0 && min_share <= 1))

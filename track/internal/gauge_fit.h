@@ -8,6 +8,7 @@
 
 #include "match/neighbour_correlation.h"
 #include "track/internal/window_moments.h"
+#include "track/planar_strain.h"
 
 namespace plumbline::internal {
 
@@ -45,6 +46,10 @@ struct GaugeRule {
   double min_quarter_points;
 };
 
+// The weight of a point in its gauges, by the covariance (uu, uv, vv) of its displacement; 0 where
+// that gives none.
+double WeightOf(const Eigen::Vector3f& cov_px2, GaugeWeights weights);
+
 // Throws UsageError naming the broken constraint of the options of a strain gauge.
 void CheckGauge(int window_points, int min_window_points, int order, double min_share,
                 double min_quarter_share);
@@ -69,9 +74,9 @@ struct TileGauges {
 // fewer than min_points, are not solved.
 TileGauges FitGauges(const GaugeData& data, const GridTile& tile, int min_points);
 
-// The same fits where points are missing: those with a weight that `present` (0 or 1) does not
-// have. Their share is taken out of the sums of the gauges that they touch, which for few missing
-// points costs far less than to fit again.
+// The same fits where points are missing: those with a weight that have none in `present`. Their
+// share is taken out of the sums of the gauges that they touch, which for few missing points costs
+// far less than to fit again.
 std::vector<GaugeFit> FitsWithoutMissing(const GaugeData& data, const TileGauges& gauges,
                                          const Image<double>& present, int min_points);
 
