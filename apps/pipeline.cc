@@ -1,7 +1,6 @@
 #include "apps/pipeline.h"
 
 #include <fmt/format.h>
-#include <tbb/blocked_range.h>
 #include <tbb/parallel_for.h>
 
 #include <algorithm>
@@ -14,6 +13,7 @@
 #include "apps/internal/surface_points.h"
 #include "calib/error.h"
 #include "calib/mode_triangulation.h"
+#include "calib/parallel.h"
 
 namespace plumbline {
 namespace {
@@ -37,14 +37,6 @@ Surface EmptySurface(ImageSize size, bool with_covariance) {
         Image<Eigen::Matrix<float, 6, 1>>(size, Eigen::Matrix<float, 6, 1>::Constant(kNan));
   }
   return surface;
-}
-
-template <typename Body>
-void ForEachPoint(std::size_t count, const Body& body) {
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 8192),
-                    [&](const tbb::blocked_range<std::size_t>& range) {
-                      for (std::size_t i = range.begin(); i != range.end(); ++i) body(i);
-                    });
 }
 
 // What the calibration does to points and plane: the sums over modes of squared differences.
@@ -74,7 +66,7 @@ CalibrationPart EvaluateModes(const ModeTriangulation& modes, const SurfacePoint
     differences.resize(count * static_cast<std::size_t>(group));
     modes.Differences(points.left, points.right, first, group, differences);
     for (int k = 0; k < group; ++k) {
-      ForEachPoint(count, [&](std::size_t i) {
+      ForEachIndex(count, [&](std::size_t i) {
         moved[i] = points.point_in_rig[i] +
                    differences[i * static_cast<std::size_t>(group) + static_cast<std::size_t>(k)]
                        .cast<double>();
@@ -88,7 +80,7 @@ CalibrationPart EvaluateModes(const ModeTriangulation& modes, const SurfacePoint
         back = GroundFromRig(plane_k, Eigen::Vector3d::Zero(), plane_k.centroid);
       }
       if (!in_ground) back = internal::BestRigidMotion(moved, points.point_in_rig);
-      ForEachPoint(count, [&](std::size_t i) {
+      ForEachIndex(count, [&](std::size_t i) {
         const Eigen::Vector3d nominal =
             in_ground ? ground_from_rig * points.point_in_rig[i] : points.point_in_rig[i];
         part.variance_mm2[i] += (back * moved[i] - nominal).cwiseAbs2();
@@ -295,7 +287,7 @@ void StereoMeasurement::Impl::Store(const SurfacePoints& points,
 
   Surface& surface = out.frame.surface;
   surface.frame = in_ground ? SurfaceFrame::kGround : SurfaceFrame::kRig;
-  ForEachPoint(points.grid_index.size(), [&](std::size_t i) {
+  ForEachIndex(points.grid_index.size(), [&](std::size_t i) {
     const std::size_t at = points.grid_index[i];
     const Eigen::Vector3d position =
         in_ground ? ground_from_rig * points.point_in_rig[i] : points.point_in_rig[i];

@@ -1,8 +1,5 @@
 #include "track/surface_motion.h"
 
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
-
 #include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <Eigen/SVD>
@@ -12,6 +9,7 @@
 #include <vector>
 
 #include "calib/error.h"
+#include "calib/parallel.h"
 
 namespace plumbline {
 namespace {
@@ -26,14 +24,6 @@ void CheckSizes(const SurfaceState& from, const SurfaceState& to) {
   throw InputError(
       "Two instants of a surface have different grids or calibration modes; they have to be of one "
       "run.");
-}
-
-template <typename Body>
-void ForEachPoint(std::size_t count, const Body& body) {
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 1024),
-                    [&](const tbb::blocked_range<std::size_t>& range) {
-                      for (std::size_t i = range.begin(); i != range.end(); ++i) body(i);
-                    });
 }
 
 // One match's part in a sum: d sum / d error, with the sign, its scale and the reference's share.
@@ -85,7 +75,7 @@ SurfaceMotion MotionBetween(const SurfaceState& from, const SurfaceState& to,
   const std::size_t modes = from.along_modes_mm.size();
   const auto before = PartsOf(from, -1), after = PartsOf(to, 1);
   const std::array<Part, 4> parts = {before[0], before[1], after[0], after[1]};
-  ForEachPoint(from.point_mm.pixel_count(), [&](std::size_t i) {
+  ForEachIndex(from.point_mm.pixel_count(), [&](std::size_t i) {
     const Eigen::Vector3d moved = to.point_mm.data()[i] - from.point_mm.data()[i];
     if (!moved.allFinite()) return;
     motion.value_mm.data()[i] = moved;
@@ -104,7 +94,7 @@ SurfaceMotion MotionBetween(const SurfaceState& from, const SurfaceState& to,
 Image<Vector6f> CovarianceOf(const SurfaceState& instant, const Image<Eigen::Vector3f>& cov_px2) {
   Image<Vector6f> cov(instant.size(), Vector6f::Constant(kNone));
   const auto parts = PartsOf(instant, 1);
-  ForEachPoint(cov.pixel_count(), [&](std::size_t i) {
+  ForEachIndex(cov.pixel_count(), [&](std::size_t i) {
     if (!instant.point_mm.data()[i].allFinite()) return;
     cov.data()[i] = TriangleOf(CovarianceOfSum(parts, i, CovarianceOf(cov_px2.data()[i])));
   });
@@ -114,7 +104,7 @@ Image<Vector6f> CovarianceOf(const SurfaceState& instant, const Image<Eigen::Vec
 Image<Eigen::Vector3f> CalibrationSigma(const SurfaceState& instant) {
   Image<Eigen::Vector3f> sigma(instant.size(), Eigen::Vector3f::Constant(kNone));
   if (instant.along_modes_mm.empty()) return sigma;
-  ForEachPoint(sigma.pixel_count(), [&](std::size_t i) {
+  ForEachIndex(sigma.pixel_count(), [&](std::size_t i) {
     Eigen::Vector3f variance = Eigen::Vector3f::Zero();
     for (const auto& mode : instant.along_modes_mm) variance += mode.data()[i].cwiseAbs2();
     sigma.data()[i] = variance.cwiseSqrt();
@@ -183,7 +173,7 @@ SurfaceMotion WithoutRigidMotion(const SurfaceState& from, const SurfaceState& t
   const Eigen::Matrix3d& turn = back.rotation;
   const Eigen::Vector3d after = rigid.motion * rigid.about_mm;
   const std::size_t modes = from.along_modes_mm.size();
-  ForEachPoint(motion.value_mm.pixel_count(), [&](std::size_t i) {
+  ForEachIndex(motion.value_mm.pixel_count(), [&](std::size_t i) {
     if (!motion.value_mm.data()[i].allFinite()) return;
     left.value_mm.data()[i] = back * to.point_mm.data()[i] - from.point_mm.data()[i];
     const Eigen::Matrix<double, 3, 6> J = RigidJacobian(to.point_mm.data()[i] - after);

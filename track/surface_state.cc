@@ -1,8 +1,5 @@
 #include "track/surface_state.h"
 
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
-
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
 #include <algorithm>
@@ -12,6 +9,7 @@
 
 #include "calib/error.h"
 #include "calib/median.h"
+#include "calib/parallel.h"
 #include "calib/triangulate.h"
 
 namespace plumbline {
@@ -229,26 +227,20 @@ StereoSurface TriangulateField(const StereoRig& rig, const StereoField& field,
   const Observed observed = Observe(field, cov_px2, surface);
   const std::vector<TriangulatedPoint> points = Triangulate(rig, observed.observations);
   SurfaceState& instant = surface.instant;
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, points.size(), 1024),
-                    [&](const tbb::blocked_range<std::size_t>& range) {
-                      for (std::size_t n = range.begin(); n != range.end(); ++n) {
-                        const std::size_t i = observed.places[n];
-                        const TriangulatedPoint& point = points[n];
-                        surface.status.data()[i] = point.status;
-                        surface.epipolar_px.data()[i] = static_cast<float>(point.epipolar_px);
-                        surface.sigma_epipolar_px.data()[i] =
-                            static_cast<float>(point.sigma_epipolar_px);
-                        if (point.status != Status::kOk) continue;
-                        instant.point_mm.data()[i] = point.point_in_rig;
-                        const auto turned = [&](const PlanarField& match, int first) {
-                          const Eigen::Matrix2d F =
-                              Eigen::Matrix2d::Identity() + match.gradient.data()[i].cast<double>();
-                          return (point.d_point_d_pixels.middleCols<2>(first) * F).eval();
-                        };
-                        instant.d_left.data()[i] = turned(field.left, 0).cast<float>();
-                        instant.d_right.data()[i] = turned(field.right, 2).cast<float>();
-                      }
-                    });
+  ForEachIndex(points.size(), [&](std::size_t n) {
+    const std::size_t i = observed.places[n];
+    const TriangulatedPoint& point = points[n];
+    surface.status.data()[i] = point.status;
+    surface.epipolar_px.data()[i] = static_cast<float>(point.epipolar_px);
+    surface.sigma_epipolar_px.data()[i] = static_cast<float>(point.sigma_epipolar_px);
+    if (point.status != Status::kOk) return;
+    instant.point_mm.data()[i] = point.point_in_rig;
+    const auto turned = [&](const PlanarField& match, int first) {
+      return (point.d_point_d_pixels.middleCols<2>(first) * DeformationOf(match, i)).eval();
+    };
+    instant.d_left.data()[i] = turned(field.left, 0).cast<float>();
+    instant.d_right.data()[i] = turned(field.right, 2).cast<float>();
+  });
   RejectMismatches(options, surface);
   return surface;
 }
@@ -261,22 +253,18 @@ SurfaceState InFrame(const SurfaceState& in_rig, const MeasurementFrame& frame) 
   if (frame.along_modes.size() != modes) {
     throw std::invalid_argument("InFrame: the frame is not known along all modes");
   }
-  tbb::parallel_for(
-      tbb::blocked_range<std::size_t>(0, told.point_mm.pixel_count(), 1024),
-      [&](const tbb::blocked_range<std::size_t>& range) {
-        for (std::size_t i = range.begin(); i != range.end(); ++i) {
-          const Eigen::Vector3d& point = in_rig.point_mm.data()[i];
-          if (!point.allFinite()) continue;
-          const Eigen::Vector3d here = from_rig * point;
-          told.point_mm.data()[i] = here;
-          told.d_left.data()[i] = turn * in_rig.d_left.data()[i];
-          told.d_right.data()[i] = turn * in_rig.d_right.data()[i];
-          for (std::size_t k = 0; k < modes; ++k) {
-            const Eigen::Vector3d moved = point + in_rig.along_modes_mm[k].data()[i].cast<double>();
-            told.along_modes_mm[k].data()[i] = (frame.along_modes[k] * moved - here).cast<float>();
-          }
-        }
-      });
+  ForEachIndex(told.point_mm.pixel_count(), [&](std::size_t i) {
+    const Eigen::Vector3d& point = in_rig.point_mm.data()[i];
+    if (!point.allFinite()) return;
+    const Eigen::Vector3d here = from_rig * point;
+    told.point_mm.data()[i] = here;
+    told.d_left.data()[i] = turn * in_rig.d_left.data()[i];
+    told.d_right.data()[i] = turn * in_rig.d_right.data()[i];
+    for (std::size_t k = 0; k < modes; ++k) {
+      const Eigen::Vector3d moved = point + in_rig.along_modes_mm[k].data()[i].cast<double>();
+      told.along_modes_mm[k].data()[i] = (frame.along_modes[k] * moved - here).cast<float>();
+    }
+  });
   return told;
 }
 

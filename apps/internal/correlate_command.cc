@@ -5,6 +5,7 @@
 
 #include "apps/internal/command.h"
 #include "apps/internal/field_options.h"
+#include "apps/internal/frame_options.h"
 #include "apps/internal/planar_report.h"
 #include "apps/internal/result_file.h"
 #include "apps/internal/strain_options.h"
@@ -45,8 +46,8 @@ class CorrelateCommand : public Command {
 
   std::string reference_, output_ = "field.h5";
   std::vector<std::string> deformed_;
-  std::string frames_, roi_, mask_, timestamps_;
-  std::optional<double> frames_per_second_;
+  FrameOptionSet frames_;
+  std::string roi_, mask_;
   bool overwrite_ = false;
   FieldOptionSet matching_;
   int step_px_ = 8;
@@ -84,19 +85,7 @@ void CorrelateCommand::DeclareImages(OptionTable& options) {
       {.name = "output", .help = "where the result goes", .unit = "FILE", .short_name = "o"},
       &output_);
   options.Add({.name = "overwrite", .help = "replace the output file if it is there"}, &overwrite_);
-  options.Add({.name = "frames",
-               .help = "which deformed images, as start:stop:step counted from 0; empty: all",
-               .unit = "A:B:C"},
-              &frames_);
-  options.Add({.name = "fps",
-               .help = "frames a second, for images without a clock of their own",
-               .unit = "1/s",
-               .min = 1e-6},
-              &frames_per_second_);
-  options.Add({.name = "timestamps",
-               .help = "a text table with the time of each deformed image in its last column",
-               .unit = "FILE"},
-              &timestamps_);
+  frames_.Declare(options, "deformed images", "deformed image");
   options.Add({.name = "roi",
                .help = "region of the reference to measure; empty: all of it",
                .unit = "X,Y,W,H px"},
@@ -194,10 +183,7 @@ CommandReport CorrelateCommand::Run(const CommonOptions& common, const std::stri
   const fs::path output = CheckedOutput(output_, overwrite_);
   std::vector<fs::path> inputs;
   const SequenceImage reference = ReadReference(reference_, &inputs);
-  ImageSourceOptions source;
-  source.frames = frames_;
-  source.frames_per_second = frames_per_second_;
-  source.timestamps_csv = timestamps_;
+  ImageSourceOptions source = frames_.Options();
   source.expected_size = reference.image.size();
   const auto images = OpenImageSequence(deformed_, source);
   const PlanarRunOptions options = Options(common.seed, reference.image.bits);
@@ -208,7 +194,7 @@ CommandReport CorrelateCommand::Run(const CommonOptions& common, const std::stri
   header.recipe_toml = recipe_toml;
   header.inputs = inputs;
   for (const fs::path& file : images->Files()) header.inputs.push_back(file);
-  for (const std::string& file : {mask_, matching_.noise(), timestamps_}) {
+  for (const std::string& file : {mask_, matching_.noise(), frames_.timestamps()}) {
     if (!file.empty()) header.inputs.emplace_back(file);
   }
 

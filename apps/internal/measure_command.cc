@@ -11,6 +11,7 @@
 
 #include "apps/internal/command.h"
 #include "apps/internal/foreign_rig_options.h"
+#include "apps/internal/frame_options.h"
 #include "apps/internal/measure_flow.h"
 #include "apps/internal/measure_report.h"
 #include "apps/internal/result_file.h"
@@ -117,7 +118,6 @@ class MeasureCommand : public Command {
  private:
   void DeclareRun(OptionTable& options);
   void DeclareSgbm(OptionTable& options);
-  ImageSourceOptions SourceOptions() const;
   MeasureOptions SgbmOptions(std::uint64_t seed) const;
   Measurement Sgbm(const RigInput& rig, std::uint64_t seed) const;
   Measurement Dic(const RigInput& rig, std::uint64_t seed) const;
@@ -127,9 +127,8 @@ class MeasureCommand : public Command {
 
   std::string rig_, left_, right_, output_ = "run.h5";
   ForeignRigOptionSet foreign_rig_;
-  std::string matcher_ = "sgbm", frames_, roi_, mask_, timestamps_, rectification_ = "auto";
-  std::string shard_;
-  std::optional<double> frames_per_second_;
+  std::string matcher_ = "sgbm", roi_, mask_, rectification_ = "auto", shard_;
+  FrameOptionSet frames_;
   std::optional<int> step_px_, reference_frame_;
   bool overwrite_ = false, resume_ = false;
   MeasureOptions sgbm_;
@@ -194,19 +193,7 @@ void MeasureCommand::Declare(OptionTable& options) {
 }
 
 void MeasureCommand::DeclareRun(OptionTable& options) {
-  options.Add({.name = "frames",
-               .help = "which pairs, as start:stop:step counted from 0; empty: all",
-               .unit = "A:B:C"},
-              &frames_);
-  options.Add({.name = "fps",
-               .help = "frames a second, for images without a clock of their own",
-               .unit = "1/s",
-               .min = 1e-6},
-              &frames_per_second_);
-  options.Add({.name = "timestamps",
-               .help = "a text table with the time of each frame in its last column",
-               .unit = "FILE"},
-              &timestamps_);
+  frames_.Declare(options, "pairs", "frame");
   options.Add(
       {.name = "resume",
        .help = "go on with a run that was broken off; one that is finished is left as it is"},
@@ -260,14 +247,6 @@ void MeasureCommand::DeclareSgbm(OptionTable& options) {
               &sgbm_.rectification.pixels_per_input_pixel);
 }
 
-ImageSourceOptions MeasureCommand::SourceOptions() const {
-  ImageSourceOptions options;
-  options.frames = frames_;
-  options.frames_per_second = frames_per_second_;
-  options.timestamps_csv = timestamps_;
-  return options;
-}
-
 MeasureOptions MeasureCommand::SgbmOptions(std::uint64_t seed) const {
   MeasureOptions options = sgbm_;
   options.step_px = step_px_.value_or(1);
@@ -310,7 +289,7 @@ Measurement MeasureCommand::Sgbm(const RigInput& rig, std::uint64_t seed) const 
 
 // The pair that displacements count from.
 StereoFrame MeasureCommand::ReferencePair() const {
-  ImageSourceOptions options = SourceOptions();
+  ImageSourceOptions options = frames_.Options();
   if (reference_frame_) options.frames = fmt::format("{}", *reference_frame_);
   const auto source = OpenImageSource(left_, right_, options);
   std::string problem;
@@ -379,7 +358,7 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
         "Note: this calibration does not say how sure it is, so the calibration part of all "
         "uncertainties is unknown (NaN). Calibrate with plumbline calibrate to have it.");
   }
-  const auto source = OpenImageSource(left_, right_, SourceOptions());
+  const auto source = OpenImageSource(left_, right_, frames_.Options());
   Measurement measurement = dic ? Dic(rig, common.seed) : Sgbm(rig, common.seed);
   for (const std::string& note : measurement.notes) spdlog::info("Note: {}", note);
 
@@ -387,7 +366,8 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
   header.recipe_toml = recipe_toml;
   header.inputs = source->Files();
   for (const std::string& file : rig.files) header.inputs.emplace_back(file);
-  for (const std::string& file : {mask_, dic ? dic_.noise() : std::string()}) {
+  for (const std::string& file :
+       {mask_, frames_.timestamps(), dic ? dic_.noise() : std::string()}) {
     if (!file.empty()) header.inputs.emplace_back(file);
   }
   MeasuredRange range;

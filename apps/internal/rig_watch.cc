@@ -68,6 +68,21 @@ Rigid3 RigWatch::WithBaseline(Rigid3 pose) const {
   return pose;
 }
 
+// `change`: of the pose since the reference pair, with errors of its own.
+void RigWatch::SetPose(const Vector6& change, const std::vector<Vector6>& errors,
+                       Verdict& verdict) const {
+  const Rigid3 pose = WithBaseline(internal::Moved(change, base_.right_from_left));
+  verdict.rig.right_from_left = pose;
+  if (base_errors_.empty() && errors.empty()) return;
+  std::vector<Rigid3>& moved = verdict.right_from_left_moved;
+  for (const Vector6& error : base_errors_) {
+    moved.push_back(internal::Moved(change, internal::Moved(error, base_.right_from_left)));
+  }
+  moved.resize(kPoseModes / 2, pose);
+  for (const Vector6& error : errors) moved.push_back(internal::Moved(error, pose));
+  moved.resize(kPoseModes, pose);
+}
+
 RigWatch::Verdict RigWatch::Reference(std::span<const StereoObservation> observations) {
   Verdict verdict{{}, rig_, {}};
   try {
@@ -78,18 +93,13 @@ RigWatch::Verdict RigWatch::Reference(std::span<const StereoObservation> observa
         Moved(first_->chi2, TakenBy(first_->epipolar_rms_before_px, first_->epipolar_rms_after_px));
     if (options_.refinement != PoseRefinement::kOff && verdict.record.alarm) {
       verdict.record.refined = true;
-      verdict.rig.right_from_left = WithBaseline(first_->right_from_left);
+      base_.right_from_left = WithBaseline(first_->right_from_left);
       base_errors_ = ErrorsOf(first_->cov_random, rig_.baseline_mm());
-      for (const Vector6& error : base_errors_) {
-        verdict.right_from_left_moved.push_back(
-            internal::Moved(error, verdict.rig.right_from_left));
-      }
-      verdict.right_from_left_moved.resize(kPoseModes, verdict.rig.right_from_left);
+      SetPose(Vector6::Zero(), {}, verdict);
     }
   } catch (const InputError& error) {
     verdict.record.problem = error.what();
   }
-  base_ = verdict.rig;
   verdict.record.right_from_left = verdict.rig.right_from_left;
   return verdict;
 }
@@ -109,25 +119,15 @@ RigWatch::Verdict RigWatch::Later(std::span<const StereoObservation> observation
         options_.refinement == PoseRefinement::kAlways ||
         (options_.refinement == PoseRefinement::kWhenSignificant && verdict.record.alarm);
     verdict.record.refined = refine || !base_errors_.empty();
-    const Vector6 change = refine ? since.change : Vector6::Zero().eval();
-    verdict.rig.right_from_left = WithBaseline(internal::Moved(change, base_.right_from_left));
-    for (const Vector6& error : base_errors_) {
-      verdict.right_from_left_moved.push_back(
-          internal::Moved(change, internal::Moved(error, base_.right_from_left)));
-    }
-    if (!refine) {
-      if (!base_errors_.empty()) {
-        verdict.right_from_left_moved.resize(kPoseModes, verdict.rig.right_from_left);
-      }
+    if (refine) {
+      SetPose(since.change, ErrorsOf(since.cov_random, rig_.baseline_mm()), verdict);
     } else {
-      verdict.right_from_left_moved.resize(kPoseModes / 2, verdict.rig.right_from_left);
-      for (const Vector6& error : ErrorsOf(since.cov_random, rig_.baseline_mm())) {
-        verdict.right_from_left_moved.push_back(
-            internal::Moved(error, verdict.rig.right_from_left));
-      }
+      SetPose(Vector6::Zero(), {}, verdict);
     }
   } catch (const InputError& error) {
     verdict.record.problem = error.what();
+    verdict.record.refined = !base_errors_.empty();
+    SetPose(Vector6::Zero(), {}, verdict);
   }
   verdict.record.right_from_left = verdict.rig.right_from_left;
   return verdict;

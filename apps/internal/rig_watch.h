@@ -54,6 +54,8 @@ class RigWatch {
  private:
   bool Moved(double chi2, double by_px) const;
   Rigid3 WithBaseline(Rigid3 pose) const;
+  void SetPose(const Eigen::Matrix<double, 6, 1>& change,
+               const std::vector<Eigen::Matrix<double, 6, 1>>& errors, Verdict& verdict) const;
 
   StereoRig rig_;
   Options options_;

@@ -1,11 +1,9 @@
 #include "apps/internal/surface_points.h"
 
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
-
 #include <Eigen/Geometry>
 #include <algorithm>
 
+#include "calib/parallel.h"
 #include "calib/triangulate.h"
 
 namespace plumbline::internal {
@@ -70,16 +68,13 @@ SurfacePoints TriangulateDisparity(const StereoRig& rig, const Rectification& re
   for (std::size_t begin = 0; begin < wanted.size(); begin += kBlock) {
     const std::size_t count = std::min(kBlock, wanted.size() - begin);
     observations.resize(count);
-    tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 4096),
-                      [&](const tbb::blocked_range<std::size_t>& range) {
-                        for (std::size_t i = range.begin(); i != range.end(); ++i) {
-                          const Wanted& w = wanted[begin + i];
-                          const RawMatch match = MatchFromDisparity(
-                              rectification, w.rectified_left, grid.raw_left.values()[w.grid_index],
-                              w.disparity_px, w.sigma_px);
-                          observations[i] = {match.left, match.right, match.cov_px2};
-                        }
-                      });
+    ForEachIndex(count, [&](std::size_t i) {
+      const Wanted& w = wanted[begin + i];
+      const RawMatch match =
+          MatchFromDisparity(rectification, w.rectified_left, grid.raw_left.values()[w.grid_index],
+                             w.disparity_px, w.sigma_px);
+      observations[i] = {match.left, match.right, match.cov_px2};
+    });
     const std::vector<TriangulatedPoint> triangulated = Triangulate(rig, observations);
     for (std::size_t i = 0; i < count; ++i) {
       const std::size_t grid_index = wanted[begin + i].grid_index;

@@ -1,11 +1,10 @@
 #include "apps/internal/surface_records.h"
 
-#include <tbb/blocked_range.h>
-#include <tbb/parallel_for.h>
-
 #include <cmath>
 #include <limits>
 #include <utility>
+
+#include "calib/parallel.h"
 
 namespace plumbline::internal {
 namespace {
@@ -13,14 +12,6 @@ namespace {
 constexpr float kNone = std::numeric_limits<float>::quiet_NaN();
 const Eigen::Vector3f kNoVector = Eigen::Vector3f::Constant(kNone);
 using Vector6f = Eigen::Matrix<float, 6, 1>;
-
-template <typename Body>
-void ForEachPoint(std::size_t count, const Body& body) {
-  tbb::parallel_for(tbb::blocked_range<std::size_t>(0, count, 4096),
-                    [&](const tbb::blocked_range<std::size_t>& range) {
-                      for (std::size_t i = range.begin(); i != range.end(); ++i) body(i);
-                    });
-}
 
 Eigen::Vector3f SigmaOf(const Vector6f& cov) {
   return Eigen::Vector3f(cov[0], cov[3], cov[5]).cwiseMax(0).cwiseSqrt();
@@ -45,7 +36,7 @@ Surface SurfaceRecordOf(const StereoSurface& surface, const SurfaceState& instan
   out.status = surface.status;
   out.frame = plane ? SurfaceFrame::kGround : SurfaceFrame::kRig;
   if (with_covariance) out.cov_random_mm2 = cov_mm2;
-  ForEachPoint(out.status.pixel_count(), [&](std::size_t i) {
+  ForEachIndex(out.status.pixel_count(), [&](std::size_t i) {
     if (out.status.data()[i] != Status::kOk) return;
     out.position_mm.data()[i] = instant.point_mm.data()[i].cast<float>();
     Vector6f cov = cov_mm2.data()[i];
@@ -113,7 +104,7 @@ DisplacementField DisplacementRecordOf(const SurfaceMotion& motion) {
   out.value_mm = Image<Eigen::Vector3f>(size, kNoVector);
   out.sigma_random_mm = Image<Eigen::Vector3f>(size, kNoVector);
   out.sigma_calibration_mm = motion.sigma_calibration_mm;
-  ForEachPoint(out.value_mm.pixel_count(), [&](std::size_t i) {
+  ForEachIndex(out.value_mm.pixel_count(), [&](std::size_t i) {
     out.value_mm.data()[i] = motion.value_mm.data()[i].cast<float>();
     out.sigma_random_mm.data()[i] = SigmaOf(motion.cov_random_mm2.data()[i]);
   });
@@ -126,7 +117,7 @@ VelocityField VelocityRecordOf(const SurfaceMotion& motion, double seconds) {
   VelocityField out{std::move(moved.value_mm), std::move(moved.sigma_random_mm),
                     std::move(moved.sigma_calibration_mm)};
   for (auto* image : {&out.value_mm_s, &out.sigma_random_mm_s, &out.sigma_calibration_mm_s}) {
-    ForEachPoint(image->pixel_count(), [&](std::size_t i) { image->data()[i] *= per_second; });
+    ForEachIndex(image->pixel_count(), [&](std::size_t i) { image->data()[i] *= per_second; });
   }
   return out;
 }
@@ -150,7 +141,7 @@ RigidMotionRecord RigidRecordOf(const SurfaceRigidMotion& rigid) {
 StrainField StrainRecordOf(SurfaceStrain strain) {
   StrainField out;
   out.sigma_random = Image<Eigen::Vector3f>(strain.size(), kNoVector);
-  ForEachPoint(strain.strain.pixel_count(), [&](std::size_t i) {
+  ForEachIndex(strain.strain.pixel_count(), [&](std::size_t i) {
     out.sigma_random.data()[i] = SigmaOf(strain.cov_strain.data()[i]);
   });
   out.value = std::move(strain.strain);
