@@ -7,6 +7,7 @@
 
 #include "calib/camera_file.h"
 #include "calib/error.h"
+#include "calib/triangulate.h"
 #include "tests/support/shared_data.h"
 
 namespace plumbline {
@@ -217,9 +218,23 @@ TEST(StereoCalibration, ReadsDiceAndVic3dOfTheSameRig) {
   const Eigen::Vector3d ray_dice = dice.rig.left.Unproject({960, 600});
   const Eigen::Vector2d b = dice.rig.right.Project(dice.rig.right_from_left * (ray_dice * 383.8));
   EXPECT_LT((a - b).norm(), 40);
+}
+
+// The places that VIC-3D itself matched, as the file lists them. (They are not of the images beside
+// it: those were taken with the cameras 12 degrees further apart.)
+TEST(StereoCalibration, OfVic3dPutsItsOwnMatchesOnTheirEpipolarLines) {
   PLUMBLINE_SHARED_DATA(bar, "stereodic-static-bar");
   const StereoRig rig = ReadStereoCalibration(bar / "reference_DICe/cal.xml");
   EXPECT_EQ(rig.left.size(), (ImageSize{1280, 800}));
+  for (const Eigen::Vector4d& seen :
+       {Eigen::Vector4d(456, 121, 516.716, 104.7), Eigen::Vector4d(544, 369, 571.169, 350.874),
+        Eigen::Vector4d(609, 326, 648.066, 309.293), Eigen::Vector4d(611, 242, 637.642, 227.563)}) {
+    StereoObservation match;
+    match.left = seen.head<2>();
+    match.right = seen.tail<2>();
+    match.cov_px2.setIdentity();
+    EXPECT_LT(std::abs(Triangulate(rig, match).epipolar_px), 0.12) << seen.transpose();
+  }
 }
 
 TEST(StereoCalibration, DicePosesInAWorldGiveTheRightCameraSeenFromTheLeft) {
