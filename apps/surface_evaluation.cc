@@ -12,6 +12,7 @@
 
 #include "apps/internal/finite_median.h"
 #include "apps/internal/ground_record.h"
+#include "apps/internal/plane_points.h"
 #include "apps/internal/rig_watch.h"
 #include "apps/internal/surface_points.h"
 #include "apps/internal/surface_records.h"
@@ -46,30 +47,6 @@ Eigen::Vector3d ParseDirection(const std::string& text) {
     throw UsageError("The direction of the strain's x axis has no length.");
   }
   return direction.normalized();
-}
-
-// Points far enough apart that a plane does not gain by more of them.
-struct PlanePoints {
-  std::vector<std::size_t> places;
-  std::vector<Eigen::Vector3d> point_mm;
-  std::vector<Eigen::Matrix3d> cov_mm2;
-};
-
-PlanePoints PointsForPlane(const SurfaceState& in_rig, const Image<Eigen::Vector3f>& unit,
-                           int stride) {
-  PlanePoints points;
-  const auto cov = CovarianceOf(in_rig, unit);
-  for (int r = 0; r < in_rig.size().height; r += stride) {
-    for (int c = 0; c < in_rig.size().width; c += stride) {
-      if (!in_rig.point_mm(r, c).allFinite()) continue;
-      points.places.push_back(static_cast<std::size_t>(r) *
-                                  static_cast<std::size_t>(in_rig.size().width) +
-                              static_cast<std::size_t>(c));
-      points.point_mm.push_back(in_rig.point_mm(r, c));
-      points.cov_mm2.push_back(CovarianceOf(cov(r, c)));
-    }
-  }
-  return points;
 }
 
 // How many points share one noise: the sum of the correlations of one point with all others, the
@@ -138,8 +115,13 @@ struct SurfaceEvaluation::Impl {
     return options.refinement == PoseRefinement::kOff ? 0 : internal::RigWatch::kPoseModes;
   }
   void KeepReferencePoints(StereoSurface& surface) const;
+  Image<Eigen::Matrix<float, 6, 1>> PositionCovariance(const StereoSurface& surface,
+                                                       const SurfaceState& instant,
+                                                       const Image<Eigen::Vector3f>& unit,
+                                                       const SurfaceMotion* motion) const;
   SeriesFrame FrameOf(const StereoField& field, const StereoSurface& surface,
-                      const SurfaceState& instant, const Image<Eigen::Vector3f>& unit) const;
+                      const SurfaceState& instant, const Image<Eigen::Vector3f>& unit,
+                      const SurfaceMotion* motion) const;
 
   StereoRig rig;
   StereoField reference;
@@ -153,7 +135,9 @@ struct SurfaceEvaluation::Impl {
   Image<Eigen::Vector3f> unit;  // of the reference
   StereoSurface reference_surface;
   MeasurementFrame frame;
-  std::optional<GroundPlane> plane;  // of the reference pair
+  std::optional<GroundPlane> plane;  // of the reference pair, where positions are told from it
+  Image<Eigen::Vector3d> plane_along_points;  // PlaneAlongPoints()
+  Image<float> height_variance_mm2;           // of the points of the reference pair alone
   GroundRecord ground;
   RigWatchRecord reference_watch;
   SurfaceState at_reference;  // in the frame
@@ -189,6 +173,11 @@ SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCo
   }
   ChooseFrame(reference_surface.instant);
   at_reference = InFrame(reference_surface.instant, frame);
+  height_variance_mm2 = Image<float>(grid, 0);
+  const auto cov = CovarianceOf(at_reference, unit);
+  for (std::size_t i = 0; i < cov.pixel_count(); ++i) {
+    height_variance_mm2.data()[i] = cov.data()[i][5];
+  }
   if (options.strain_axes == "ground") {
     options.strain_options.x_direction = Eigen::Vector3d::UnitX();
   } else if (options.strain_axes != "material") {
@@ -261,7 +250,7 @@ void SurfaceEvaluation::Impl::KeepReferencePoints(StereoSurface& surface) const 
 std::optional<GroundPlane> SurfaceEvaluation::Impl::PlaneOf(
     const SurfaceState& in_rig, const Image<Eigen::Vector3f>& of_match, GroundRecord& record,
     std::vector<GroundPlane>* along_modes) const {
-  const PlanePoints points = PointsForPlane(in_rig, of_match, plane_stride);
+  const internal::PointsOfPlane points(in_rig, of_match, plane_stride);
   std::optional<GroundPlane> found;
   try {
     found = FitGroundPlane(points.point_mm, points.cov_mm2, options.ground);
@@ -270,8 +259,7 @@ std::optional<GroundPlane> SurfaceEvaluation::Impl::PlaneOf(
     return found;
   }
   found->cov = std::max(1.0, found->scatter_ratio * found->scatter_ratio) *
-               PlaneCovariance(*found, points.point_mm, points.cov_mm2, points.places,
-                               in_rig.size(), neighbours);
+               PlaneCovariance(*found, points.All(), neighbours);
   record = internal::GroundRecordOf(
       *found, GroundFromRig(*found, Eigen::Vector3d::Zero(), found->centroid));
   if (in_rig.along_modes_mm.empty()) return found;
@@ -297,6 +285,8 @@ void SurfaceEvaluation::Impl::ChooseFrame(const SurfaceState& in_rig) {
   plane = PlaneOf(in_rig, unit, ground, &along_modes);
   if (plane && options.turn_into_ground_frame) {
     frame.frame_from_rig = ground.ground_from_rig;
+    plane_along_points = PlaneAlongPoints(
+        *plane, internal::PointsOfPlane(in_rig, unit, plane_stride).All(), neighbours);
     for (const GroundPlane& there : along_modes) {
       frame.along_modes.push_back(GroundFromRig(there, Eigen::Vector3d::Zero(), there.centroid));
     }
@@ -319,13 +309,39 @@ void SurfaceEvaluation::Impl::ChooseFrame(const SurfaceState& in_rig) {
   }
 }
 
-// Positions and matches: what does not need another instant.
+// The random covariance of positions. Heights have the error of the plane that they are told from,
+// which was fitted to the points at the reference. motion: since then; nothing: these are they.
+Image<Eigen::Matrix<float, 6, 1>> SurfaceEvaluation::Impl::PositionCovariance(
+    const StereoSurface& surface, const SurfaceState& instant,
+    const Image<Eigen::Vector3f>& of_match, const SurfaceMotion* motion) const {
+  constexpr int kZz = 5;
+  Image<Eigen::Matrix<float, 6, 1>> cov = CovarianceOf(instant, of_match);
+  if (!plane) return cov;
+  Image<float> shared_mm(cov.size(), 0);
+  for (std::size_t i = 0; i < cov.pixel_count(); ++i) {
+    const float now = cov.data()[i][kZz];
+    const float before = motion == nullptr ? now : height_variance_mm2.data()[i];
+    const float moved = motion == nullptr ? 0 : motion->cov_random_mm2.data()[i][kZz];
+    shared_mm.data()[i] = 0.5F * (now + before - moved) / std::sqrt(before);
+  }
+  const Image<float> added =
+      HeightVarianceOfPlane(*plane, surface.instant.point_mm, plane_along_points, shared_mm);
+  for (std::size_t i = 0; i < cov.pixel_count(); ++i) {
+    float& height = cov.data()[i][kZz];
+    height = std::max(height + added.data()[i], 0.0F);  // NaN stays
+  }
+  return cov;
+}
+
+// Positions and matches.
 SeriesFrame SurfaceEvaluation::Impl::FrameOf(const StereoField& field, const StereoSurface& surface,
                                              const SurfaceState& instant,
-                                             const Image<Eigen::Vector3f>& of_match) const {
+                                             const Image<Eigen::Vector3f>& of_match,
+                                             const SurfaceMotion* motion) const {
   SeriesFrame out;
-  out.surface = internal::SurfaceRecordOf(surface, instant, CovarianceOf(instant, of_match), field,
-                                          plane, options.point_covariance);
+  out.surface = internal::SurfaceRecordOf(
+      surface, instant, PositionCovariance(surface, instant, of_match, motion), field,
+      plane ? SurfaceFrame::kGround : SurfaceFrame::kRig, options.point_covariance);
   if (options.matches) out.match = internal::MatchRecordOf(field);
   return out;
 }
@@ -372,7 +388,7 @@ SeriesHeader SurfaceEvaluation::Header() const {
 SeriesFrame SurfaceEvaluation::EvaluateReference(double time_s) {
   Impl& impl = *impl_;
   SeriesFrame out =
-      impl.FrameOf(impl.reference, impl.reference_surface, impl.at_reference, impl.unit);
+      impl.FrameOf(impl.reference, impl.reference_surface, impl.at_reference, impl.unit, nullptr);
   out.ground = impl.ground;
   out.rig_watch = impl.reference_watch;
   out.displacement = internal::AtRest(impl.reference_surface.status);
@@ -401,11 +417,9 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s)
       impl.watch.Later(ObservationsOf(field, unit, impl.watch_stride));
   StereoSurface surface = impl.SurfaceOf(verdict, field, unit);
   impl.KeepReferencePoints(surface);
-  const SurfaceState instant = InFrame(surface.instant, impl.frame);
-  SeriesFrame out = impl.FrameOf(field, surface, instant, unit);
   if (std::none_of(surface.status.values().begin(), surface.status.values().end(),
                    [](Status status) { return status == Status::kOk; })) {
-    out = SeriesFrame();
+    SeriesFrame out;
     out.problem = "no point of the reference was found again in both images";
     Restart();
     return out;
@@ -413,7 +427,9 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s)
   out.rig_watch = verdict.record;
   impl.PlaneOf(surface.instant, unit, out.ground, nullptr);
   if (out.ground.found) out.ground.ground_from_rig = impl.frame.frame_from_rig;
+  const SurfaceState instant = InFrame(surface.instant, impl.frame);
   const SurfaceMotion motion = MotionBetween(impl.at_reference, instant, impl.unit);
+  SeriesFrame out = impl.FrameOf(field, surface, instant, unit, &motion);
   const SurfaceRigidMotion rigid =
       RigidMotionBetween(impl.at_reference, instant, motion, impl.correlation_area);
   out.rigid_motion = internal::RigidRecordOf(rigid);

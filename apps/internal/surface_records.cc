@@ -25,7 +25,7 @@ Eigen::Vector3d SigmaOf(const Eigen::Matrix<double, 6, 6>& cov, int first) {
 
 Surface SurfaceRecordOf(const StereoSurface& surface, const SurfaceState& instant,
                         const Image<Vector6f>& cov_mm2, const StereoField& field,
-                        const std::optional<GroundPlane>& plane, bool with_covariance) {
+                        SurfaceFrame frame, bool with_covariance) {
   Surface out;
   const ImageSize size = surface.status.size();
   out.position_mm = Image<Eigen::Vector3f>(size, kNoVector);
@@ -34,19 +34,12 @@ Surface SurfaceRecordOf(const StereoSurface& surface, const SurfaceState& instan
   out.correlation = Image<float>(size, kNone);
   out.epipolar_px = surface.epipolar_px;
   out.status = surface.status;
-  out.frame = plane ? SurfaceFrame::kGround : SurfaceFrame::kRig;
+  out.frame = frame;
   if (with_covariance) out.cov_random_mm2 = cov_mm2;
   ForEachIndex(out.status.pixel_count(), [&](std::size_t i) {
     if (out.status.data()[i] != Status::kOk) return;
     out.position_mm.data()[i] = instant.point_mm.data()[i].cast<float>();
-    Vector6f cov = cov_mm2.data()[i];
-    if (plane) {
-      const Eigen::Vector3d q = surface.instant.point_mm.data()[i] - plane->centroid;
-      const Eigen::Vector3d J(-plane->e2.dot(q), plane->e1.dot(q), -1);
-      cov[5] += static_cast<float>(J.dot(plane->cov * J));
-      if (with_covariance) out.cov_random_mm2.data()[i][5] = cov[5];
-    }
-    out.sigma_random_mm.data()[i] = SigmaOf(cov);
+    out.sigma_random_mm.data()[i] = SigmaOf(cov_mm2.data()[i]);
     out.correlation.data()[i] = std::min(field.left.zncc.data()[i], field.right.zncc.data()[i]);
   });
   return out;

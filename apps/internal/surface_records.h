@@ -1,8 +1,5 @@
 #pragma once
 
-#include <optional>
-
-#include "fit/ground_plane.h"
 #include "io/series_frame.h"
 #include "match/stereo_sequence.h"
 #include "track/surface_motion.h"
@@ -12,11 +9,10 @@
 // What a series holds, from what was measured.
 namespace plumbline::internal {
 
-// `instant`: the surface's, in the frame of the positions; cov_mm2: its random covariance. plane:
-// of the reference pair, where positions are in its frame: heights have its random error as well.
+// `instant`: the surface's, in the frame of the positions; cov_mm2: its random covariance.
 Surface SurfaceRecordOf(const StereoSurface& surface, const SurfaceState& instant,
                         const Image<Eigen::Matrix<float, 6, 1>>& cov_mm2, const StereoField& field,
-                        const std::optional<GroundPlane>& plane, bool with_covariance);
+                        SurfaceFrame frame, bool with_covariance);
 MatchField MatchRecordOf(const StereoField& field);
 DisplacementField DisplacementRecordOf(const SurfaceMotion& motion);
 VelocityField VelocityRecordOf(const SurfaceMotion& motion, double seconds);
