@@ -89,6 +89,7 @@ StereoRun::~StereoRun() = default;
 SeriesHeader StereoRun::Header() const {
   SeriesHeader header = impl_->evaluation->Header();
   header.displacement_reference = fmt::format("frame {}", impl_->reference_index);
+  if (header.reference) header.reference->left_id = impl_->reference_id;
   return header;
 }
 

@@ -375,6 +375,10 @@ SeriesHeader SurfaceEvaluation::Header() const {
       header.grid_px(r, c) = impl.reference.left.PixelOf(r, c).cast<float>();
     }
   }
+  if (impl.options.matches) {
+    header.reference = ReferenceMatches{"", internal::MatchRecordOf(impl.reference),
+                                        impl.reference_surface.status};
+  }
   if (!impl.gauges) return header;
   const SurfaceStrain at_rest =
       impl.gauges->Strain(impl.at_reference, impl.reference_surface.status);
@@ -424,12 +428,12 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s)
     Restart();
     return out;
   }
-  out.rig_watch = verdict.record;
-  impl.PlaneOf(surface.instant, unit, out.ground, nullptr);
-  if (out.ground.found) out.ground.ground_from_rig = impl.frame.frame_from_rig;
   const SurfaceState instant = InFrame(surface.instant, impl.frame);
   const SurfaceMotion motion = MotionBetween(impl.at_reference, instant, impl.unit);
   SeriesFrame out = impl.FrameOf(field, surface, instant, unit, &motion);
+  out.rig_watch = verdict.record;
+  impl.PlaneOf(surface.instant, unit, out.ground, nullptr);
+  if (out.ground.found) out.ground.ground_from_rig = impl.frame.frame_from_rig;
   const SurfaceRigidMotion rigid =
       RigidMotionBetween(impl.at_reference, instant, motion, impl.correlation_area);
   out.rigid_motion = internal::RigidRecordOf(rigid);

@@ -69,7 +69,7 @@ class SurfaceEvaluation {
                     const SurfaceEvaluationOptions& options);
   ~SurfaceEvaluation();
 
-  // The header of a series that holds its frames, but for what only the run knows.
+  // The header of a series that holds its frames, but for what only the run knows (ids too).
   SeriesHeader Header() const;
 
   // The points of one pair; time_s in the recording (NaN: no velocity). All of the frame but its

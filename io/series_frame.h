@@ -125,6 +125,15 @@ struct MatchField {
   Image<float> left_reference_share, right_reference_share;
 };
 
+// The matches of the pair that displacements count from, as /reference holds them, whether it is
+// one of the frames or not: all else follows from these and those of a frame. NaN where the status
+// is not kOk.
+struct ReferenceMatches {
+  std::string left_id;  // as SeriesFrame's
+  MatchField match;
+  Image<Status> status;
+};
+
 // The strain as /strain holds it, of the measure that the header names: xx, yy, xy in the local
 // axes of the surface, xy the tensor's shear component (half of the engineering shear). Without
 // unit. NaN where `status` is not kOk, which is the strain's own: a point may have a position and

@@ -2,9 +2,11 @@
 
 #include <limits>
 #include <stdexcept>
+#include <utility>
 
 #include "io/internal/hdf5.h"
 #include "io/internal/patch_contours.h"
+#include "io/internal/reference_group.h"
 #include "io/internal/rig_group.h"
 #include "io/internal/series_file.h"
 #include "io/internal/series_images.h"
@@ -151,14 +153,32 @@ struct SeriesReader::Impl {
     }
   }
 
+  std::optional<ReferenceMatches> ReadReference() const {
+    if (!hdf5::Exists(file.id(), internal::kReferenceStatus)) return std::nullopt;
+    ReferenceMatches reference;
+    reference.left_id = hdf5::GetText(hdf5::OpenGroup(file.id(), "/reference").get(), "left_id");
+    ReadImage(internal::kReferenceStatus, std::nullopt, &reference.status);
+    SeriesFrame frame;
+    for (const internal::PointField& field : internal::StereoPoints().fields) {
+      if (field.group != internal::kMatch) continue;
+      internal::VisitImage(frame, field, [&](auto& image) {
+        ReadImage(internal::PathInReference(field), std::nullopt, &image);
+      });
+    }
+    reference.match = std::move(frame.match);
+    return reference;
+  }
+
+  // i: the frame; nothing: the dataset has none.
+  using FrameOf = std::optional<std::size_t>;
   template <typename Element>
-  void ReadImage(const std::string& path, std::size_t i, Image<Element>* image) const {
+  void ReadImage(const std::string& path, FrameOf i, Image<Element>* image) const {
     *image = file.Points<Element, float>(path, i, grid.pixel.size());
   }
-  void ReadImage(const std::string& path, std::size_t i, Image<Status>* image) const {
+  void ReadImage(const std::string& path, FrameOf i, Image<Status>* image) const {
     *image = file.Statuses(path, i, grid.pixel.size());
   }
-  void ReadImage(const std::string& path, std::size_t i, Image<Eigen::Matrix2f>* image) const {
+  void ReadImage(const std::string& path, FrameOf i, Image<Eigen::Matrix2f>* image) const {
     *image = file.Points<Eigen::Matrix2f, float>(path, i, grid.pixel.size());
     for (Eigen::Matrix2f& matrix : image->values()) matrix.transposeInPlace();  // row by row there
   }
@@ -201,6 +221,9 @@ const SeriesContents& SeriesReader::contents() const { return impl_->contents; }
 const std::string& SeriesReader::grid_points() const { return impl_->attributes.grid_points; }
 const std::string& SeriesReader::displacement_reference() const {
   return impl_->attributes.displacement_reference;
+}
+std::optional<ReferenceMatches> SeriesReader::reference() const {
+  return impl_->file.Reading([&] { return impl_->ReadReference(); });
 }
 bool SeriesReader::rigid_motion_removed() const { return impl_->attributes.rigid_motion_removed; }
 const std::string& SeriesReader::strain_measure() const { return impl_->attributes.strain_measure; }

@@ -3,6 +3,7 @@
 #include <cstdint>
 #include <filesystem>
 #include <memory>
+#include <optional>
 #include <string>
 #include <vector>
 
@@ -30,6 +31,8 @@ class SeriesReader {
   // there.
   const std::string& grid_points() const;
   const std::string& displacement_reference() const;
+  // Nothing: the series does not hold them. Throws InputError.
+  std::optional<ReferenceMatches> reference() const;
   bool rigid_motion_removed() const;
   const std::string& strain_measure() const;
   const std::string& strain_axes() const;

@@ -45,6 +45,7 @@ struct SeriesHeader {
   // What displacements count from, attribute `reference` of /displacement: "frame N" (SeriesFrame::
   // index), "previous" or "wheel".
   std::string displacement_reference = "frame 0";
+  std::optional<ReferenceMatches> reference = {};
   // Attribute of /displacement: the rigid motion of the whole surface (/rigid_motion) is taken out.
   bool rigid_motion_removed = false;
   // Attributes of /strain: the measure (a name of track/strain_measure.h), what the local x axis of

@@ -136,49 +136,51 @@ CommandReport AnalyseCommand::Run(const CommonOptions& common, const std::string
   throw InputError(fmt::format("'{}' is a rig file; analyse works on runs.", file_));
 }
 
-// The frame of the run that displacements count from.
-SeriesFrame ReferenceFrame(const SeriesReader& series, const std::string& file) {
+bool IsReference(const SeriesFrame& frame, const SeriesReader& series) {
+  return fmt::format("frame {}", frame.index) == series.displacement_reference();
+}
+
+// The matches of the pair that displacements count from.
+ReferenceMatches ReferenceOf(const SeriesReader& series, const std::string& file) {
   if (!series.contents().matches) {
     throw InputError(fmt::format(
         "'{}' holds no matches to work on: it was measured with sgbm or with --no-matches; measure "
         "with --matcher dic.",
         file));
   }
-  const std::string& reference = series.displacement_reference();
+  if (std::optional<ReferenceMatches> reference = series.reference()) return std::move(*reference);
+  // Older files hold them in that pair's own frame alone.
   for (std::int64_t i = 0; i < series.frame_count(); ++i) {
     SeriesFrame frame = series.Frame(i);
-    if (fmt::format("frame {}", frame.index) == reference && frame.problem.empty()) return frame;
-  }
-  if (const auto& shard = series.facts().shard) {
-    throw InputError(fmt::format(
-        "'{}' is part {} of {} of a run, and does not hold the pair that displacements count from "
-        "({}): join the parts with plumbline merge and analyse the whole.",
-        file, shard->index + 1, shard->count, reference));
+    if (IsReference(frame, series) && frame.problem.empty()) {
+      return {frame.left_id, std::move(frame.match), std::move(frame.surface.status)};
+    }
   }
   throw InputError(fmt::format(
-      "'{}' does not hold the matches of the pair that displacements count from ({}): the run took "
-      "it with --reference-frame, but not among its --frames, or was broken off before it; measure "
-      "again with --frames that hold it.",
-      file, reference));
+      "'{}' was written by {} and does not hold the matches of the pair that displacements count "
+      "from ({}): if it is a part of a run, join the parts with plumbline merge and analyse the "
+      "whole; else measure again.",
+      file, series.facts().software, series.displacement_reference()));
 }
 
 CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const CommonOptions& common,
                                         const std::string& recipe_toml) const {
   const SurfaceEvaluationOptions options = evaluation_.Options(common.seed);
   const fs::path output = Output();
-  const SeriesFrame first = ReferenceFrame(series, file_);
-  const SeriesNeighbours neighbours = NeighboursOf(series, first.left_id);
+  const ReferenceMatches reference = ReferenceOf(series, file_);
+  const SeriesNeighbours neighbours = NeighboursOf(series, reference.left_id);
   const Image<Eigen::Vector2f> grid = series.grid_px();
   PlanarField like;
   like.first_px = grid(0, 0).array().round().cast<int>();
   like.step_px = series.step_px();
   like.subset_px = series.subset_px();
-  SurfaceEvaluation evaluation(series.rig(), FieldOf(first.match, first.surface.status, like),
+  SurfaceEvaluation evaluation(series.rig(), FieldOf(reference.match, reference.status, like),
                                neighbours.correlation, options);
   SeriesHeader header = evaluation.Header();
   header.displacement_reference = series.displacement_reference();
   header.recipe_toml = JoinRecipes(series.facts().recipe_toml, recipe_toml);
   header.inputs = {fs::path(file_)};
+  if (header.reference) header.reference->left_id = reference.left_id;
   header.inputs.insert(header.inputs.end(), neighbours.files.begin(), neighbours.files.end());
 
   const InterruptGuard guard;
@@ -194,7 +196,7 @@ CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const Common
     ReportedFrame now;
     now.frame.problem = before.problem;
     if (before.problem.empty()) {
-      now.frame = before.index == first.index
+      now.frame = IsReference(before, series)
                       ? evaluation.EvaluateReference(before.time_s)
                       : evaluation.Evaluate(FieldOf(before.match, before.surface.status, like),
                                             before.time_s);

@@ -38,6 +38,7 @@ struct Measurement {
   std::function<std::int64_t(std::int64_t)> first_to_measure;
   std::int64_t block_frames = 1;  // between places where a recording can be cut
   std::vector<std::string> notes;
+  std::vector<fs::path> inputs;  // that are read besides those of the frames
 };
 
 // Images of a wrong size are refused as long as nothing was measured: then the rig is not theirs.
@@ -121,7 +122,7 @@ class MeasureCommand : public Command {
   MeasureOptions SgbmOptions(std::uint64_t seed) const;
   Measurement Sgbm(const RigInput& rig, std::uint64_t seed) const;
   Measurement Dic(const RigInput& rig, std::uint64_t seed) const;
-  StereoFrame ReferencePair() const;
+  StereoFrame ReferencePair(std::vector<fs::path>* files) const;
   std::optional<CommandReport> FinishedBefore(const fs::path& output,
                                               const std::string& recipe_toml) const;
 
@@ -275,6 +276,7 @@ Measurement MeasureCommand::Sgbm(const RigInput& rig, std::uint64_t seed) const 
                   {},
                   {},
                   1,
+                  {},
                   {}};
   out.header.step_px = options.step_px;
   out.header.subset_px = stereo->window_px();
@@ -287,14 +289,17 @@ Measurement MeasureCommand::Sgbm(const RigInput& rig, std::uint64_t seed) const 
   return out;
 }
 
-// The pair that displacements count from.
-StereoFrame MeasureCommand::ReferencePair() const {
+// The pair that displacements count from, and its files where those of the frames may lack them.
+StereoFrame MeasureCommand::ReferencePair(std::vector<fs::path>* files) const {
   ImageSourceOptions options = frames_.Options();
   if (reference_frame_) options.frames = fmt::format("{}", *reference_frame_);
   const auto source = OpenImageSource(left_, right_, options);
   std::string problem;
   while (std::optional<StereoFrame> pair = source->Next()) {
-    if (pair->problem.empty()) return std::move(*pair);
+    if (pair->problem.empty()) {
+      if (reference_frame_) *files = source->Files();
+      return std::move(*pair);
+    }
     if (problem.empty()) problem = pair->problem;
   }
   if (problem.empty()) throw InputError("There are no frames to measure.");
@@ -304,13 +309,14 @@ StereoFrame MeasureCommand::ReferencePair() const {
 
 Measurement MeasureCommand::Dic(const RigInput& rig, std::uint64_t seed) const {
   const SurfaceEvaluationOptions evaluation = evaluation_.Options(seed);
-  const StereoFrame reference = ReferencePair();
+  std::vector<fs::path> files;
+  const StereoFrame reference = ReferencePair(&files);
   StereoRunOptions options =
       dic_.Options(seed, reference.left.bits, step_px_.value_or(8), evaluation);
   if (!roi_.empty()) options.roi = PixelRegion::Parse(roi_);
   if (!mask_.empty()) options.mask = ReadMask(mask_);
   const auto run = std::make_shared<StereoRun>(rig.rig, reference, options);
-  Measurement out{run->Header(), {}, {}, options.block_frames, run->Notes()};
+  Measurement out{run->Header(), {}, {}, options.block_frames, run->Notes(), files};
   out.measure = [run](const StereoFrame& pair, std::int64_t position) -> ReportedFrame {
     StereoRunFrame measured = run->Measure(pair, position);
     FrameSummary summary;
@@ -375,6 +381,10 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
     header.shard = CutOut(*shard, source->DeclaredCount(), measurement.block_frames);
     range.first_wanted = header.shard->first_frame;
     range.end = EndOf(*header.shard);
+  }
+  for (const fs::path& file : measurement.inputs) {
+    const auto end = header.inputs.end();
+    if (std::find(header.inputs.begin(), end, file) == end) header.inputs.push_back(file);
   }
 
   const InterruptGuard guard;

@@ -6,11 +6,13 @@
 #include <cmath>
 #include <nlohmann/json.hpp>
 #include <optional>
+#include <utility>
 
 #include "apps/internal/field_options.h"
 #include "apps/region.h"
 #include "calib/error.h"
 #include "io/file_hash.h"
+#include "io/image_sequence.h"
 #include "io/image_source.h"
 #include "match/correlate_field.h"
 
@@ -61,14 +63,40 @@ toml::table TableOf(const std::string& recipe_toml, const char* command) {
   return {};
 }
 
+// An image file, or a frame of a video: "left.mkv#0".
+struct ImageName {
+  std::string file, frame;  // the latter empty: an image file
+
+  explicit ImageName(const std::string& id) : file(id) {
+    const std::size_t at = id.rfind('#');
+    if (at == std::string::npos || at + 1 == id.size() ||
+        id.find_first_not_of("0123456789", at + 1) != std::string::npos) {
+      return;
+    }
+    file = id.substr(0, at);
+    frame = id.substr(at + 1);
+  }
+
+  GrayImage Read(const fs::path& path) const {
+    if (frame.empty()) return ReadImage(path);
+    ImageSourceOptions options;
+    options.frames = frame;
+    std::optional<SequenceImage> image = OpenImageSequence(path.string(), options)->Next();
+    if (!image) throw InputError(fmt::format("'{}' has no frame {}", path.string(), frame));
+    if (!image->problem.empty()) throw InputError(image->problem);
+    return std::move(image->image);
+  }
+};
+
 SeriesNeighbours Find(const Recorded& run, const std::string& inputs_json) {
   std::string why;
   try {
-    const auto image = UnchangedInput(inputs_json, run.reference_id, &why);
+    const ImageName name(run.reference_id);
+    const auto image = UnchangedInput(inputs_json, name.file, &why);
     std::optional<fs::path> mask;
     if (image && !run.mask.empty()) mask = UnchangedInput(inputs_json, run.mask, &why);
     if (image && (mask || run.mask.empty())) {
-      const GrayImage reference = ReadImage(*image);
+      const GrayImage reference = name.Read(*image);
       std::optional<PixelRegion> roi;
       if (!run.roi.empty()) roi = PixelRegion::Parse(run.roi);
       const FieldCorrelator correlator(

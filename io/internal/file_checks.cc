@@ -10,6 +10,7 @@
 
 #include "io/internal/planar_header.h"
 #include "io/internal/planar_layout.h"
+#include "io/internal/reference_group.h"
 #include "io/internal/series_datasets.h"
 #include "io/internal/series_header.h"
 #include "io/internal/series_layout.h"
@@ -93,6 +94,15 @@ std::vector<Wanted> WantedInSeries(hid_t file) {
       Wanted dataset{group.path + "/" + field.name, {"frames"}};
       for (const Eigen::Index n : field.shape) dataset.dimensions.push_back(std::to_string(n));
       wanted.push_back(dataset);
+    }
+  }
+  if (hdf5::Exists(file, "/reference")) {
+    wanted.push_back({kReferenceStatus, {"rows", "columns"}});
+    for (const PointField& field : StereoPoints().fields) {
+      if (field.group != kMatch) continue;
+      wanted.push_back({PathInReference(field), {"rows", "columns"}});
+      const std::size_t count = field.axis->count();
+      if (count > 1) wanted.back().dimensions.push_back(std::to_string(count));
     }
   }
   if (contents.patch) {
@@ -302,7 +312,7 @@ void CheckSeriesGroups(hid_t file, LayoutCheck* check) {
   }
   CheckNexusGroups(file, {"/frames", "/grid", "/surface", "/ground"},
                    {"/displacement", "/strain", "/wheel", "/patch", "/slip", "/match", "/velocity",
-                    "/rigid_motion", "/rig_watch"},
+                    "/rigid_motion", "/rig_watch", "/reference"},
                    check);
   for (const PointGroupFacts& group : StereoPoints().groups) {
     if (!group.in_surface_frame) continue;

@@ -74,13 +74,15 @@ void SeriesFile::CheckLengths(const std::string& group, std::size_t n,
   }
 }
 
-Image<std::uint8_t> SeriesFile::Bytes(const std::string& name, std::size_t i,
+Image<std::uint8_t> SeriesFile::Bytes(const std::string& name, std::optional<std::size_t> i,
                                       ImageSize size) const {
   return ToImage<std::uint8_t>(
-      size, hdf5::ReadSlabBytes(hdf5::OpenDataset(id(), name), i, kMaxFrameElements));
+      size, i ? hdf5::ReadSlabBytes(hdf5::OpenDataset(id(), name), *i, kMaxFrameElements)
+              : ReadEnum(name));
 }
 
-Image<Status> SeriesFile::Statuses(const std::string& name, std::size_t i, ImageSize size) const {
+Image<Status> SeriesFile::Statuses(const std::string& name, std::optional<std::size_t> i,
+                                   ImageSize size) const {
   const Image<std::uint8_t> codes = Bytes(name, i, size);
   Image<Status> statuses(size);
   for (std::size_t k = 0; k < codes.pixel_count(); ++k) {

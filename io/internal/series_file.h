@@ -4,6 +4,7 @@
 
 #include <cstring>
 #include <filesystem>
+#include <optional>
 #include <stdexcept>
 #include <string>
 #include <type_traits>
@@ -65,13 +66,18 @@ class SeriesFile {
     return hdf5::ReadSlab<T>(hdf5::OpenDataset(id(), name), i, kMaxFrameElements);
   }
 
-  // Frame i of a dataset of points.
+  // Frame i of a dataset of points; all of one that is of no frame.
   template <typename Element, typename Scalar>
-  Image<Element> Points(const std::string& name, std::size_t i, ImageSize size) const {
-    return ToImage<Element>(size, Slab<Scalar>(name, i));
+  Image<Element> Points(const std::string& name, std::optional<std::size_t> i,
+                        ImageSize size) const {
+    return ToImage<Element>(size,
+                            i ? Slab<Scalar>(name, *i)
+                              : hdf5::ReadArray<Scalar>(id(), name, nullptr, kMaxFrameElements));
   }
-  Image<std::uint8_t> Bytes(const std::string& name, std::size_t i, ImageSize size) const;
-  Image<Status> Statuses(const std::string& name, std::size_t i, ImageSize size) const;
+  Image<std::uint8_t> Bytes(const std::string& name, std::optional<std::size_t> i,
+                            ImageSize size) const;
+  Image<Status> Statuses(const std::string& name, std::optional<std::size_t> i,
+                         ImageSize size) const;
 
  private:
   template <typename Element, typename Scalar>

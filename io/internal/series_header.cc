@@ -10,6 +10,7 @@
 
 #include "calib/error.h"
 #include "io/internal/hdf5.h"
+#include "io/internal/reference_group.h"
 #include "io/internal/rig_group.h"
 #include "io/internal/series_datasets.h"
 #include "track/strain_measure.h"
@@ -165,6 +166,7 @@ void WriteSeriesHeader(const std::filesystem::path& path, const SeriesHeader& he
       "where the points sit in the left image; (0, 0) is the centre of the top-left pixel");
   hdf5::SetText(grid.get(), "points", header.grid_points);
   WriteGroupAttributes(file.get(), header);
+  if (header.reference) WriteReferenceGroup(file.get(), *header.reference, header.grid_px.size());
   WriteChannels(file.get(), header.channels);
   file.Close("closing the file");
 }

@@ -100,6 +100,37 @@ TEST(StereoDic, MeasuresMotionAndStrainOverTime) {
       "f = h5py.File(sys.argv[1])\n"
       "d, v = f['displacement/value'][:], f['velocity/value'][:]\n"
       "assert np.isnan(v[0]).all()\n"
+  const CommandResult refused = RunPlumbline("analyse -q " + run.string() + " -o " +
+                                             other.string() + " --overwrite --strain-window 1");
+  EXPECT_EQ(refused.exit_code, 2);
+  EXPECT_THAT(refused.output, HasSubstr("between 3 and 255 points"));
+}
+
+TEST(StereoDic, IsEvaluatedAgainWhereTheReferenceIsNoneOfItsFrames) {
+  const fs::path late = TestFolder() / "late.h5", again = TestFolder() / "again.h5";
+  const auto measured = RunJson(Measure(late, "--reference-frame 0 --frames 4:6"));
+  const auto analysed = RunJson("analyse -q " + late.string() + " -o " + again.string() +
+                                " --strain-window 5 --strain-weights inverse-variance");
+  ASSERT_EQ(analysed["frames"].size(), 2U);
+  EXPECT_FALSE(analysed.contains("notes")) << analysed["notes"];  // the image is found again
+  for (std::size_t i = 0; i < 2; ++i) {
+    const auto expected = measured["frames"][i]["motion"], found = analysed["frames"][i]["motion"];
+    for (int k = 0; k < 3; ++k) {
+      EXPECT_NEAR(found["displacement_mm"][k].get<double>(),
+                  expected["displacement_mm"][k].get<double>(), 2e-6);
+      const double sigma = expected["sigma_random_strain"][k].get<double>();
+      EXPECT_NEAR(found["strain"][k].get<double>(), expected["strain"][k].get<double>(), sigma);
+      // Other weights are other gauges.
+      EXPECT_NE(found["strain"][k].get<double>(), expected["strain"][k].get<double>());
+      EXPECT_LT(found["sigma_random_strain"][k].get<double>(), 1.001 * sigma);
+    }
+  }
+  EXPECT_EQ(RunPlumbline("validate -q " + late.string()).exit_code, 0);
+  EXPECT_EQ(RunPlumbline("validate -q " + again.string()).exit_code, 0);
+  EXPECT_EQ(
+      RunPlumbline("analyse -q " + again.string() + " -o " + (TestFolder() / "thrice.h5").string())
+          .exit_code,
+      0);
       "assert np.nanmax(abs(v[3] - (d[3] - d[2]) * 10)) < 1e-3\n"
       "assert f['rigid_motion/rotation'].shape == (8, 3)\n"
       "assert not np.any(f['rig_watch/alarm'][:])\n"
@@ -243,6 +274,8 @@ std::string MeasureThese(const fs::path& recording, const fs::path& output) {
 
 TEST(StereoDic, MarksBadFramesAndGoesOn) {
   const fs::path recording = Spoiled(
+  expect(dic + rig + " --left " + left + " --right " + right + out + " --strain-window 1", 2,
+         "3 to 255");
       "image = cv2.imread(left[2], 0)\n"
       "cv2.imwrite(left[2], image[:200])\n"
       "for side in (left, right):\n"

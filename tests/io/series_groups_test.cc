@@ -72,6 +72,37 @@ TEST(SeriesGroups, ReadBackWhatWasWritten) {
   EXPECT_THAT(Validate(file), IsEmpty());
 }
 
+TEST(SeriesGroups, HoldTheMatchesOfThePairThatDisplacementsCountFrom) {
+  const fs::path file = TestFolder() / "run.h5";
+  SeriesHeader header = FullHeader();
+  const SeriesFrame first = FullFrame(3);
+  header.reference = ReferenceMatches{"left_3", first.match, first.surface.status};
+  header.reference->status(2, 3) = Status::kLowTexture;
+  header.reference->status.data()[1] = Status::kMasked;  // has no match
+  {
+    SeriesWriter writer(file, header);
+    writer.Commit(FullFrame(0));
+    writer.Close();
+  }
+  EXPECT_THAT(Validate(file), IsEmpty());
+  const std::optional<ReferenceMatches> read = SeriesReader(file).reference();
+  ASSERT_TRUE(read);
+  EXPECT_EQ(read->left_id, "left_3");
+  EXPECT_EQ(read->status.values(), header.reference->status.values());
+  EXPECT_TRUE(std::isnan(read->match.right_gradient(2, 3)(0, 1)));
+  for (std::size_t i = 0; i < read->status.pixel_count(); ++i) {
+    if (read->status.data()[i] != Status::kOk) continue;
+    EXPECT_EQ(read->match.left_displacement_px.data()[i],
+              first.match.left_displacement_px.data()[i]);
+    EXPECT_EQ(read->match.right_gradient.data()[i], first.match.right_gradient.data()[i]);
+    EXPECT_EQ(read->match.right_cov_px2.data()[i], first.match.right_cov_px2.data()[i]);
+    EXPECT_EQ(read->match.left_reference_share.data()[i],
+              first.match.left_reference_share.data()[i]);
+  }
+  header.reference->match.left_gradient = {};
+  EXPECT_THROW(SeriesWriter(TestFolder() / "other.h5", header), std::invalid_argument);
+}
+
 TEST(SeriesGroups, AreEachOptional) {
   const fs::path folder = TestFolder();
   for (const auto flag :
