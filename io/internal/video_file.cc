@@ -15,11 +15,13 @@ namespace plumbline::internal {
 namespace fs = std::filesystem;
 namespace {
 
-// FFmpeg and OpenCV print what they dislike straight to the terminal; we say it ourselves.
-void SilenceDecoders() {
+// FFmpeg and OpenCV print what they dislike straight to the terminal; we say it ourselves. The
+// frame in which a file was cut off is not to be delivered: FFmpeg makes up what it lacks.
+void SetUpDecoders() {
   static std::once_flag once;
   std::call_once(once, [] {
     setenv("OPENCV_FFMPEG_LOGLEVEL", "-8", 0);
+    setenv("OPENCV_FFMPEG_CAPTURE_OPTIONS", "fflags;discardcorrupt", 0);
     cv::utils::logging::setLogLevel(cv::utils::logging::LOG_LEVEL_SILENT);
   });
 }
@@ -39,7 +41,7 @@ bool IsGreyPixelFormat(unsigned code) {
 }  // namespace
 
 VideoFile::VideoFile(fs::path file, std::int64_t max_pixels) : file_(std::move(file)) {
-  SilenceDecoders();
+  SetUpDecoders();
   OpenForReading(file_);  // says why, where it cannot be
   try {
     capture_.open(file_.string(), cv::CAP_FFMPEG);
