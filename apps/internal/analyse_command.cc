@@ -20,6 +20,8 @@ namespace {
 
 namespace fs = std::filesystem;
 
+constexpr const char* kStopped = "only the frames up to here are in the file.";
+
 // The recipe of the run with that of this command behind it, in place of an earlier one.
 std::string JoinRecipes(const std::string& run, const std::string& own) {
   const std::string heading = "[analyse]\n";
@@ -114,7 +116,7 @@ CommandReport AnalyseCommand::Report(const fs::path& output, const PlanarSeriesH
     report.text += "Note: " + note + "\n";
   }
   if (interrupted) {
-    report.text += "Stopped by Ctrl-C: only the frames up to here are in the file.\n";
+    report.text += fmt::format("Stopped by Ctrl-C: {}\n", kStopped);
     report.exit_code = 130;
   }
   report.text += fmt::format("Wrote {}.\n", output.string());
@@ -178,9 +180,9 @@ CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const Common
                                neighbours.correlation, options);
   SeriesHeader header = evaluation.Header();
   header.displacement_reference = series.displacement_reference();
+  if (header.reference) header.reference->left_id = reference.left_id;
   header.recipe_toml = JoinRecipes(series.facts().recipe_toml, recipe_toml);
   header.inputs = {fs::path(file_)};
-  if (header.reference) header.reference->left_id = reference.left_id;
   header.inputs.insert(header.inputs.end(), neighbours.files.begin(), neighbours.files.end());
 
   const InterruptGuard guard;
@@ -189,7 +191,7 @@ CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const Common
   Progress progress("analysing", series.frame_count(), common.progress());
   for (std::int64_t i = 0; i < series.frame_count(); ++i) {
     if (InterruptGuard::Requested()) {
-      report.SetInterrupted();
+      report.SetInterrupted(kStopped, true);
       break;
     }
     const SeriesFrame before = series.Frame(i);

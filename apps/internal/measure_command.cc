@@ -349,6 +349,17 @@ std::optional<CommandReport> MeasureCommand::FinishedBefore(const fs::path& outp
   return report;
 }
 
+// Where there is no room for it: what to do.
+void Commit(const SeriesFrame& frame, const fs::path& output, SeriesWriter& writer) {
+  try {
+    writer.Commit(frame);
+  } catch (const EnvironmentError& error) {
+    if (writer.committed() == 0) throw;
+    throw EnvironmentError(
+        fmt::format("{}; make room: {}", error.what(), KeptText(writer.committed(), output)));
+  }
+}
+
 CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string& recipe_toml) {
   const bool dic = matcher_ == "dic";
   const fs::path output = CheckedOutput(output_, overwrite_ || resume_);
@@ -371,6 +382,10 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
   SeriesHeader& header = measurement.header;
   header.recipe_toml = recipe_toml;
   header.inputs = source->Files();
+  for (const fs::path& file : measurement.inputs) {
+    const auto end = header.inputs.end();
+    if (std::find(header.inputs.begin(), end, file) == end) header.inputs.push_back(file);
+  }
   for (const std::string& file : rig.files) header.inputs.emplace_back(file);
   for (const std::string& file :
        {mask_, frames_.timestamps(), dic ? dic_.noise() : std::string()}) {
@@ -381,10 +396,6 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
     header.shard = CutOut(*shard, source->DeclaredCount(), measurement.block_frames);
     range.first_wanted = header.shard->first_frame;
     range.end = EndOf(*header.shard);
-  }
-  for (const fs::path& file : measurement.inputs) {
-    const auto end = header.inputs.end();
-    if (std::find(header.inputs.begin(), end, file) == end) header.inputs.push_back(file);
   }
 
   const InterruptGuard guard;
@@ -407,7 +418,7 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
                        [&](const StereoFrame& one) { return measurement.measure(one, position); });
         },
         [&](const ReportedFrame& measured) {
-          writer.Commit(measured.frame);
+          Commit(measured.frame, output, writer);
           if (!measured.frame.problem.empty()) {
             progress.Note(fmt::format("Frame {} is marked as bad: {}", measured.frame.index,
                                       measured.frame.problem));
@@ -420,7 +431,7 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
           progress.Advance();
         },
         [] { return InterruptGuard::Requested(); });
-    if (stopped) report.SetInterrupted();
+    if (stopped) report.SetInterrupted(KeptText(writer.committed(), output), false);
   }
   report.SetSeconds(
       std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count());

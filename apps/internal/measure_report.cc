@@ -63,6 +63,13 @@ std::string AlarmText(std::int64_t frame, const RigWatchRecord& watch) {
                     : " Calibrate again, or measure with --refine-pose significant.");
 }
 
+std::string KeptText(std::int64_t frames, const std::filesystem::path& output) {
+  return fmt::format(
+      "the {} finished frames are kept in {}.parts. The same command with --resume goes on; "
+      "plumbline recover {} makes a file of what is there.",
+      frames, output.string(), output.string());
+}
+
 MeasureReport::MeasureReport(std::filesystem::path output, std::int64_t declared_frames,
                              bool has_calibration)
     : output_(std::move(output)),
@@ -190,17 +197,12 @@ std::string MeasureReport::Text() const {
     text += fmt::format(", {:.2g} a second", static_cast<double>(frames()) / seconds_);
   }
   text += ".\n";
-  if (interrupted_) {
-    text += fmt::format(
-        "Stopped by Ctrl-C: the {} finished frames are kept in {}.parts. The same command with "
-        "--resume goes on; plumbline recover {} makes a file of what is there.\n",
-        frames(), output_.string(), output_.string());
-  }
+  if (interrupted_) text += "Stopped by Ctrl-C: " + kept_ + "\n";
   text += "All +- are expanded uncertainties (k = 2); the file holds standard deviations.\n";
   if (!has_calibration_) {
     text += "The calibration part is unknown: the rig file carries no uncertainty.\n";
   }
-  if (interrupted_) return text;
+  if (!written_) return text;
   text += fmt::format(
       "Wrote {}. Look at it with: plumbline info {}, or plumbline export {} --format ply\n",
       output_.string(), output_.filename().string(), output_.filename().string());

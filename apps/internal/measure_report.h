@@ -27,6 +27,9 @@ struct ReportedFrame {
 // "Frame 7: the cameras have moved ...".
 std::string AlarmText(std::int64_t frame, const RigWatchRecord& watch);
 
+// What a run that ends before its last frame leaves, and how to go on.
+std::string KeptText(std::int64_t frames, const std::filesystem::path& output);
+
 // Gathers what `measure` says at its end, without keeping the frames.
 class MeasureReport {
  public:
@@ -34,7 +37,12 @@ class MeasureReport {
 
   void Add(const ReportedFrame& measured);
   void SetSeconds(double seconds) { seconds_ = seconds; }
-  void SetInterrupted() { interrupted_ = true; }
+  // By Ctrl-C. kept: what there is of the run, a sentence; whole: the output file was written.
+  void SetInterrupted(const std::string& kept, bool whole) {
+    interrupted_ = true;
+    kept_ = kept;
+    written_ = whole;
+  }
 
   std::int64_t frames() const { return static_cast<std::int64_t>(frames_.size()); }
   std::int64_t measured() const;
@@ -64,7 +72,8 @@ class MeasureReport {
   std::filesystem::path output_;
   std::int64_t declared_frames_;
   bool has_calibration_;
-  bool interrupted_ = false;
+  bool interrupted_ = false, written_ = true;
+  std::string kept_;
   double seconds_ = 0;
   std::vector<Row> frames_;
 };

@@ -107,7 +107,7 @@ void JournalWriter::Append(std::span<const std::uint8_t> payload) {
   if (error_number != 0) {
     // Half a record must not stay before the next one. If even this fails, a reader stops here.
     if (ftruncate(fd_, size_) == 0) lseek(fd_, size_, SEEK_SET);
-    ThrowSystemError(fmt::format("cannot write frame {} to", index_), file_, error_number);
+    ThrowSystemError("cannot write to", file_, error_number);
   }
   ++index_;
   size_ += static_cast<std::int64_t>(sizeof head + payload.size());

@@ -19,6 +19,18 @@ namespace {
 
 using hdf5::Id;
 
+fs::path PackedFile(const fs::path& series) { return PartsFolder(series) / "packed.h5"; }
+
+// What was written is half a file.
+EnvironmentError NoRoom(const fs::path& series, const std::string& reason) {
+  std::error_code ignored;
+  fs::remove(PackedFile(series), ignored);
+  return EnvironmentError(
+      fmt::format("cannot write {}: {}; its frames are kept in {}: make room and say plumbline "
+                  "recover {}",
+                  series.string(), reason, PartsFolder(series).string(), series.string()));
+}
+
 }  // namespace
 
 std::int64_t PackRecords(const fs::path& file_name, const fs::path& header, JournalReader& journal,
@@ -46,7 +58,7 @@ std::int64_t PackRecords(const fs::path& file_name, const fs::path& header, Jour
 }
 
 RecoveredSeries PackSeries(const fs::path& series, const std::string& inputs, bool lock) {
-  const fs::path packed = PartsFolder(series) / "packed.h5";
+  const fs::path packed = PackedFile(series);
   RecoveredSeries result;
   try {
     JournalReader journal(JournalFile(series), lock);
@@ -67,13 +79,9 @@ RecoveredSeries PackSeries(const fs::path& series, const std::string& inputs, bo
     SyncPath(series.parent_path());
     RemoveParts(series);
   } catch (const hdf5::Error& error) {
-    throw EnvironmentError(fmt::format("cannot write {}: {}; its frames are kept in {}",
-                                       series.string(), error.what(),
-                                       PartsFolder(series).string()));
+    throw NoRoom(series, error.what());
   } catch (const fs::filesystem_error& error) {
-    throw EnvironmentError(fmt::format("cannot write {}: {}; its frames are kept in {}",
-                                       series.string(), error.code().message(),
-                                       PartsFolder(series).string()));
+    throw NoRoom(series, error.code().message());
   }
   return result;
 }
