@@ -8,7 +8,7 @@
 #include <nlohmann/json.hpp>
 
 #include "io/planar_series_reader.h"
-#include "tests/support/plumbline_command.h"
+#include "tests/support/plumbline_json.h"
 #include "tests/support/speckle_files.h"
 
 namespace plumbline {
@@ -17,6 +17,7 @@ namespace {
 namespace fs = std::filesystem;
 using testing::CommandResult;
 using ::testing::HasSubstr;
+using testing::RunJson;
 using testing::RunPlumbline;
 using testing::RunPython;
 using testing::TestFolder;
@@ -27,13 +28,6 @@ constexpr const char* kSettings = " --subset 21 --step 6 --strain-window 7";
 std::string Images(const fs::path& folder) {
   return "correlate --reference " + (folder / "image_0.png").string() + " --deformed '" +
          (folder / "image_[1-9].png").string() + "' -o " + (folder / "field.h5").string();
-}
-
-nlohmann::json RunJson(const std::string& arguments, int exit_code = 0) {
-  const fs::path complaints = TestFolder() / "stderr.txt";
-  const CommandResult result = RunPlumbline(arguments + " --json 2>" + complaints.string());
-  EXPECT_EQ(result.exit_code, exit_code) << result.output << std::ifstream(complaints).rdbuf();
-  return nlohmann::json::parse(result.output, nullptr, false);
 }
 
 TEST(Correlate, MeasuresWhatMovedIntoAFileThatOthersRead) {

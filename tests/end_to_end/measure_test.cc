@@ -11,24 +11,18 @@
 #include <regex>
 #include <sstream>
 
-#include "tests/support/plumbline_command.h"
+#include "tests/support/plumbline_json.h"
 
 namespace plumbline {
 namespace {
 
 using testing::CommandResult;
 using ::testing::HasSubstr;
+using testing::RunJson;
 using testing::RunPlumbline;
 using testing::RunPython;
 using testing::TestFolder;
 namespace fs = std::filesystem;
-
-nlohmann::json RunJson(const std::string& arguments, int exit_code = 0) {
-  const fs::path complaints = TestFolder() / "stderr.txt";
-  const CommandResult result = RunPlumbline(arguments + " --json 2>" + complaints.string());
-  EXPECT_EQ(result.exit_code, exit_code) << result.output << std::ifstream(complaints).rdbuf();
-  return nlohmann::json::parse(result.output, nullptr, false);
-}
 
 // --- The steel specimen: flat, at 383.8 mm ------------------------------------------------------
 

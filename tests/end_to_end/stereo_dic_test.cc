@@ -14,13 +14,16 @@
 #include <string>
 #include <vector>
 
-#include "tests/support/plumbline_command.h"
+#include "tests/end_to_end/stereo_dic_runs.h"
+#include "tests/support/plumbline_json.h"
 
 namespace plumbline {
 namespace {
 
 using testing::CommandResult;
+using testing::ExpectSameData;
 using ::testing::HasSubstr;
+using testing::RunJson;
 using testing::RunPlumbline;
 using testing::RunPython;
 using testing::TestFolder;
@@ -30,14 +33,8 @@ constexpr int kFrames = 8;
 
 // A recording of a sheet that is stretched by 2 % along x; made once for all tests of the process.
 const fs::path& Recording() {
-  static const fs::path folder = [] {
-    const fs::path made = fs::temp_directory_path() / ("plumbline-dic-" + std::to_string(getpid()));
-    const CommandResult result =
-        RunPlumbline("simulate stretch --cameras laboratory --image-size 400x320 --frame-count " +
-                     std::to_string(kFrames) + " --fps 10 -q -o " + made.string());
-    EXPECT_EQ(result.exit_code, 0) << result.output;
-    return made;
-  }();
+  static const fs::path folder =
+      testing::RecordStretch("plumbline-dic", kFrames, "--image-size 400x320");
   return folder;
 }
 
@@ -51,33 +48,6 @@ std::string Measure(const fs::path& output, const std::string& more = "") {
   return "measure --matcher dic --step 16 --subset 29 --strain-window 5 --block-frames 3 --fps 10 "
          "-q" +
          Inputs() + " -o " + output.string() + " " + more;
-}
-
-nlohmann::json RunJson(const std::string& arguments) {
-  const fs::path complaints = TestFolder() / "stderr.txt";
-  const CommandResult result = RunPlumbline(arguments + " --json 2>" + complaints.string());
-  EXPECT_EQ(result.exit_code, 0) << result.output << std::ifstream(complaints).rdbuf();
-  return nlohmann::json::parse(result.output, nullptr, false);
-}
-
-// Whether all datasets of two files hold the same bytes.
-void ExpectSameData(const fs::path& a, const fs::path& b) {
-  const CommandResult result = RunPython(
-      "import sys, h5py, numpy as np\n"
-      "a, b = h5py.File(sys.argv[1]), h5py.File(sys.argv[2])\n"
-      "count = 0\n"
-      "def visit(name, o):\n"
-      "    global count\n"
-      "    if not isinstance(o, h5py.Dataset): return\n"
-      "    x, y = o[()], b[name][()]\n"
-      "    same = x.tobytes() == y.tobytes() if isinstance(x, np.ndarray) and x.dtype != object "
-      "else np.array_equal(x, y)\n"
-      "    assert same, name\n"
-      "    count += 1\n"
-      "a.visititems(visit)\n"
-      "print('same', count > 40)\n",
-      a.string() + " " + b.string());
-  EXPECT_THAT(result.output, HasSubstr("same True"));
 }
 
 TEST(StereoDic, MeasuresMotionAndStrainOverTime) {
@@ -100,6 +70,36 @@ TEST(StereoDic, MeasuresMotionAndStrainOverTime) {
       "f = h5py.File(sys.argv[1])\n"
       "d, v = f['displacement/value'][:], f['velocity/value'][:]\n"
       "assert np.isnan(v[0]).all()\n"
+      "assert np.nanmax(abs(v[3] - (d[3] - d[2]) * 10)) < 1e-3\n"
+      "assert f['rigid_motion/rotation'].shape == (8, 3)\n"
+      "assert not np.any(f['rig_watch/alarm'][:])\n"
+      "e, s = f['strain/green_lagrange'][-1], f['strain/green_lagrange_errors_random'][-1]\n"
+      "z = (e[..., 0] - 0.0202) / s[..., 0]\n"
+      "print('z', np.sqrt(np.nanmean(z ** 2)) < 1.5)\n",
+      run.string());
+  EXPECT_THAT(python.output, HasSubstr("z True"));
+}
+
+TEST(StereoDic, IsEvaluatedAgainFromItsMatches) {
+  const fs::path run = TestFolder() / "run.h5", same = TestFolder() / "same.h5",
+                 other = TestFolder() / "other.h5";
+  const auto measured = RunJson(Measure(run));
+  const auto again =
+      RunJson("analyse -q " + run.string() + " -o " + same.string() + " --strain-window 5");
+  const auto wide = RunJson("analyse -q " + run.string() + " -o " + other.string() +
+                            " --strain-window 7 --strain-measure hencky --frame rig");
+  for (int k = 0; k < 3; ++k) {
+    const auto of = [&](const nlohmann::json& json, const char* what) {
+      return json["frames"][kFrames - 1]["motion"][what][k].get<double>();
+    };
+    EXPECT_NEAR(of(again, "displacement_mm"), of(measured, "displacement_mm"), 2e-6);
+    EXPECT_NEAR(of(again, "strain"), of(measured, "strain"), 2e-7);
+    EXPECT_NEAR(of(again, "sigma_random_strain"), of(measured, "sigma_random_strain"), 1e-7);
+    EXPECT_LT(of(wide, "sigma_random_strain"), of(measured, "sigma_random_strain"));
+  }
+  EXPECT_NEAR(wide["frames"][kFrames - 1]["motion"]["strain"][0].get<double>(), std::log(1.02),
+              1e-4);
+  EXPECT_EQ(RunPlumbline("validate -q " + other.string()).exit_code, 0);
   const CommandResult refused = RunPlumbline("analyse -q " + run.string() + " -o " +
                                              other.string() + " --overwrite --strain-window 1");
   EXPECT_EQ(refused.exit_code, 2);
@@ -131,36 +131,6 @@ TEST(StereoDic, IsEvaluatedAgainWhereTheReferenceIsNoneOfItsFrames) {
       RunPlumbline("analyse -q " + again.string() + " -o " + (TestFolder() / "thrice.h5").string())
           .exit_code,
       0);
-      "assert np.nanmax(abs(v[3] - (d[3] - d[2]) * 10)) < 1e-3\n"
-      "assert f['rigid_motion/rotation'].shape == (8, 3)\n"
-      "assert not np.any(f['rig_watch/alarm'][:])\n"
-      "e, s = f['strain/green_lagrange'][-1], f['strain/green_lagrange_errors_random'][-1]\n"
-      "z = (e[..., 0] - 0.0202) / s[..., 0]\n"
-      "print('z', np.sqrt(np.nanmean(z ** 2)) < 1.5)\n",
-      run.string());
-  EXPECT_THAT(python.output, HasSubstr("z True"));
-}
-
-TEST(StereoDic, IsEvaluatedAgainFromItsMatches) {
-  const fs::path run = TestFolder() / "run.h5", same = TestFolder() / "same.h5",
-                 other = TestFolder() / "other.h5";
-  const auto measured = RunJson(Measure(run));
-  const auto again =
-      RunJson("analyse -q " + run.string() + " -o " + same.string() + " --strain-window 5");
-  const auto wide = RunJson("analyse -q " + run.string() + " -o " + other.string() +
-                            " --strain-window 7 --strain-measure hencky --frame rig");
-  for (int k = 0; k < 3; ++k) {
-    const auto of = [&](const nlohmann::json& json, const char* what) {
-      return json["frames"][kFrames - 1]["motion"][what][k].get<double>();
-    };
-    EXPECT_NEAR(of(again, "displacement_mm"), of(measured, "displacement_mm"), 2e-6);
-    EXPECT_NEAR(of(again, "strain"), of(measured, "strain"), 2e-7);
-    EXPECT_NEAR(of(again, "sigma_random_strain"), of(measured, "sigma_random_strain"), 1e-7);
-    EXPECT_LT(of(wide, "sigma_random_strain"), of(measured, "sigma_random_strain"));
-  }
-  EXPECT_NEAR(wide["frames"][kFrames - 1]["motion"]["strain"][0].get<double>(), std::log(1.02),
-              1e-4);
-  EXPECT_EQ(RunPlumbline("validate -q " + other.string()).exit_code, 0);
 }
 
 TEST(StereoDic, InShardsIsTheSameAsInOne) {
@@ -274,8 +244,6 @@ std::string MeasureThese(const fs::path& recording, const fs::path& output) {
 
 TEST(StereoDic, MarksBadFramesAndGoesOn) {
   const fs::path recording = Spoiled(
-  expect(dic + rig + " --left " + left + " --right " + right + out + " --strain-window 1", 2,
-         "3 to 255");
       "image = cv2.imread(left[2], 0)\n"
       "cv2.imwrite(left[2], image[:200])\n"
       "for side in (left, right):\n"
@@ -306,6 +274,8 @@ TEST(StereoDic, RefusesWhatCannotBe) {
   expect(Measure(TestFolder() / "run.h5", "--shard 5/4"), 2, "1/4 to 4/4");
   expect(Measure(TestFolder() / "run.h5", "--shard 1/7"), 3, "fewer shards");
   expect(Measure("/proc/nowhere/run.h5"), 4, "/proc/nowhere");
+  expect(dic + rig + " --left " + left + " --right " + right + out + " --strain-window 1", 2,
+         "3 to 255");
   expect(dic + rig + " --left " + left + " --right " + right + out + " --strain-axes up", 2,
          "direction x,y,z");
   EXPECT_FALSE(fs::exists(TestFolder() / "run.h5"));
