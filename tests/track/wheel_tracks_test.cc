@@ -1,0 +1,169 @@
+#include "track/wheel_tracks.h"
+
+#include <gtest/gtest.h>
+#include <tbb/global_control.h>
+
+#include <algorithm>
+#include <cmath>
+#include <map>
+#include <memory>
+#include <numbers>
+#include <vector>
+
+#include "calib/error.h"
+#include "io/virtual_rig/virtual_rig.h"
+
+namespace plumbline {
+namespace {
+
+constexpr double kDegree = std::numbers::pi / 180;
+
+// The lifted wheel seen by a rig of a quarter of the pixels, so that a turn is rendered in seconds.
+class LiftedWheel {
+ public:
+  LiftedWheel(int frames, double step_rad) : frames_(frames) {
+    RigDesign design = DesignOf(RigKind::kWide640);
+    design.image_size = {320, 240};
+    design.pixel_um *= 2;
+    Scenario scenario = MakeScenario("tyre-lifted", plumbline::MakeRig(design), design.distance_mm);
+    scenario.frames = frames;
+    const auto& tyre = std::get<TyreOptions>(scenario.surface);
+    scenario.frames_per_second = tyre.speed_mm_s / tyre.free_rolling_radius_mm / step_rad;
+    rig_ = std::make_unique<VirtualRig>(scenario);
+  }
+
+  const StereoRig& rig() const { return rig_->scenario().rig; }
+  int frames() const { return frames_; }
+  const StereoFrame& Pair(int frame) {
+    const auto [at, is_new] = pairs_.try_emplace(frame);
+    if (is_new) {
+      at->second.left = rig_->TakeImage(frame, Side::kLeft);
+      at->second.right = rig_->TakeImage(frame, Side::kRight);
+    }
+    return at->second;
+  }
+  double Angle(int frame) const { return Wheel(frame).angle_rad - Wheel(0).angle_rad; }
+  WheelAxis Axis() const {
+    const Rigid3 rig_from_ground = rig_->GroundFromRig(0).Inverse();
+    return WheelAxis::Through(rig_from_ground * Eigen::Vector3d(0, 0, Wheel(0).centre_height_mm),
+                              rig_from_ground.rotation * Wheel(0).axis);
+  }
+
+ private:
+  WheelState Wheel(int frame) const { return rig_->tyre()->Wheel(rig_->FrameTime(frame)); }
+
+  int frames_;
+  std::unique_ptr<VirtualRig> rig_;
+  std::map<int, StereoFrame> pairs_;
+};
+
+WheelChainOptions Options() {
+  WheelChainOptions options;
+  options.matching.field.step_px = 17;
+  options.matching.field.correlator.subset_px = 17;
+  return options;
+}
+
+// All frames, but for those that `blank` names: they see a grey wall.
+WheelChain ChainOf(LiftedWheel& wheel, const std::vector<int>& blank = {}) {
+  WheelChainBuilder builder(wheel.rig(), Options());
+  const GrayImage wall{Image<std::uint16_t>(wheel.rig().left.size(), 90), 8};
+  for (int f = 0; f < wheel.frames(); ++f) {
+    if (std::count(blank.begin(), blank.end(), f) > 0) {
+      EXPECT_FALSE(builder.Add(wall, wall)) << f;
+    } else {
+      EXPECT_TRUE(builder.Add(wheel.Pair(f).left, wheel.Pair(f).right)) << f;
+    }
+  }
+  return builder.Finish();
+}
+
+WheelAdjustment Adjust(LiftedWheel& wheel, const WheelChain& chain, WheelProblem* problem) {
+  WheelTracks tracks(wheel.rig(), chain, Options());
+  for (int f = 0; f < wheel.frames(); ++f) {
+    const WheelFrameMatches m = tracks.Add(f, wheel.Pair(f).left, wheel.Pair(f).right);
+    if (std::isfinite(chain.angles_rad[static_cast<std::size_t>(f)])) {
+      EXPECT_TRUE(m.placed) << f;
+      EXPECT_GT(m.found, 9 * m.looked_for / 10) << f;
+    }
+  }
+  *problem = tracks.Problem();
+  return AdjustWheel(wheel.rig(), *problem);
+}
+
+TEST(WheelTracks, FollowAnArc) {
+  LiftedWheel wheel(9, 4 * kDegree);
+  const WheelChain chain = ChainOf(wheel);
+  EXPECT_FALSE(chain.closed);
+  EXPECT_GE(chain.views.size(), 2U);
+  for (int f = 0; f < wheel.frames(); ++f) {
+    EXPECT_NEAR(chain.angles_rad[static_cast<std::size_t>(f)], wheel.Angle(f), 0.05 * kDegree) << f;
+  }
+  WheelProblem problem;
+  const WheelAdjustment found = Adjust(wheel, chain, &problem);
+  EXPECT_TRUE(found.converged);
+  EXPECT_LT(found.sigma0, 1.2);
+  EXPECT_LT(found.outliers, 0.02 * static_cast<double>(problem.observations.size()));
+  for (int f = 0; f < wheel.frames(); ++f) {
+    EXPECT_NEAR(found.angles_rad[static_cast<std::size_t>(f)], wheel.Angle(f), 0.004 * kDegree)
+        << f;
+  }
+  EXPECT_NEAR(found.axis.distance_mm, wheel.Axis().distance_mm, 0.03);
+  EXPECT_LT((found.axis.direction_in_rig() - wheel.Axis().direction_in_rig()).norm(),
+            0.003 * kDegree);
+}
+
+TEST(WheelTracks, CloseAfterAFullTurn) {
+  LiftedWheel wheel(41, 9.3 * kDegree);
+  const WheelChain chain = ChainOf(wheel, {5});
+  EXPECT_TRUE(chain.closed);
+  EXPECT_LT(std::abs(chain.misclosure_rad), 0.3 * kDegree);
+  EXPECT_TRUE(std::isnan(chain.angles_rad[5]));
+  EXPECT_LT(chain.views.back().angle_rad, 2 * std::numbers::pi - 0.03);
+  WheelProblem problem;
+  const WheelAdjustment found = Adjust(wheel, chain, &problem);
+  // Points of the first view are seen by the last frames.
+  EXPECT_TRUE(std::any_of(
+      problem.observations.begin(), problem.observations.end(), [&](const WheelObservation& o) {
+        return o.frame == 40 &&
+               o.point < static_cast<int>(chain.views[0].point_in_rig_mm.pixel_count());
+      }));
+  EXPECT_TRUE(std::isnan(found.angles_rad[5]));
+  for (int f = 0; f < wheel.frames(); ++f) {
+    if (f == 5) continue;
+    EXPECT_NEAR(found.angles_rad[static_cast<std::size_t>(f)], wheel.Angle(f), 0.002 * kDegree)
+        << f;
+  }
+}
+
+TEST(WheelChain, RefusesWhatDoesNotTurnOrShowsNothing) {
+  LiftedWheel wheel(2, 4 * kDegree);
+  WheelChainBuilder still(wheel.rig(), Options());
+  for (int f = 0; f < 3; ++f) still.Add(wheel.Pair(0).left, wheel.Pair(0).right);
+  EXPECT_THROW((void)still.Finish(), InputError);
+  WheelChainBuilder blind(wheel.rig(), Options());
+  const GrayImage wall{Image<std::uint16_t>(wheel.rig().left.size(), 90), 8};
+  EXPECT_FALSE(blind.Add(wall, wall));
+  EXPECT_THROW((void)blind.Finish(), InputError);
+}
+
+TEST(WheelChain, RefusesARigThatContradictsTheImages) {
+  LiftedWheel wheel(2, 4 * kDegree);
+  WheelChainBuilder swapped(wheel.rig(), Options());
+  EXPECT_THROW(swapped.Add(wheel.Pair(0).right, wheel.Pair(0).left), InputError);
+}
+
+TEST(WheelChain, IsTheSameForAnyNumberOfThreads) {
+  LiftedWheel wheel(4, 6 * kDegree);
+  const auto with = [&](std::size_t threads) {
+    for (int f = 0; f < wheel.frames(); ++f) wheel.Pair(f);
+    const tbb::global_control limit(tbb::global_control::max_allowed_parallelism, threads);
+    const WheelChain chain = ChainOf(wheel);
+    WheelProblem problem;
+    return Adjust(wheel, chain, &problem).angles_rad;
+  };
+  EXPECT_EQ(with(1), with(2));
+}
+
+}  // namespace
+}  // namespace plumbline
