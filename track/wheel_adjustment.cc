@@ -152,9 +152,12 @@ class Adjustment {
     const double scale = std::max(1.0, out.sigma0 * out.sigma0);
     const Eigen::MatrixXd cov = equations_.CoreCovariance();
     out.cov_points_mm2.resize(out.points_mm.size(), Eigen::Matrix3d::Constant(kNone));
+    out.point_errors.resize(out.points_mm.size());
     for (std::size_t p = 0; p < out.points_mm.size(); ++p) {
       if (!equations_.PointDetermined(p)) continue;
+      out.point_errors[p] = equations_.ErrorOf(p);
       out.cov_points_mm2[p] = scale * equations_.PointCovariance(p, cov);
+      out.point_errors[p].own_mm2 *= scale;
     }
     out.cov_random = scale * cov;
   }
@@ -211,6 +214,30 @@ void WheelAdjustmentOptions::Check() const {
     throw UsageError("wheel adjustment: outlier_sigmas must be 2 or more");
   }
   if (max_iterations < 1) throw UsageError("wheel adjustment: max_iterations must be at least 1");
+}
+
+double WheelAdjustment::VarianceOfSum(std::span<const int> points,
+                                      std::span<const Eigen::Vector3d> derivatives) const {
+  Eigen::VectorXd by_core = Eigen::VectorXd::Zero(cov_random.rows());
+  std::vector<Eigen::Index> touched;
+  double variance = 0;
+  for (std::size_t n = 0; n < points.size(); ++n) {
+    const auto p = static_cast<std::size_t>(points[n]);
+    const PointError& error = point_errors.at(p);
+    if (!points_mm[p].allFinite()) return kNone;
+    variance += derivatives[n].dot(error.own_mm2 * derivatives[n]);
+    for (std::size_t k = 0; k < error.core.size(); ++k) {
+      by_core[error.core[k]] -=
+          error.transfer.col(static_cast<Eigen::Index>(k)).dot(derivatives[n]);
+      touched.push_back(error.core[k]);
+    }
+  }
+  std::sort(touched.begin(), touched.end());
+  touched.erase(std::unique(touched.begin(), touched.end()), touched.end());
+  for (const Eigen::Index a : touched) {
+    for (const Eigen::Index b : touched) variance += by_core[a] * cov_random(a, b) * by_core[b];
+  }
+  return variance;
 }
 
 WheelAdjustment AdjustWheel(const StereoRig& rig, const WheelProblem& problem,

@@ -2,6 +2,7 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <span>
 #include <vector>
 
 #include "calib/stereo_rig.h"
@@ -74,6 +75,21 @@ struct WheelAdjustment {
   int degrees_of_freedom = 0;
   bool converged = false;
   int iterations = 0;
+
+  // The random variance of sum_n derivative_n . point_n, what the points have in common by way of
+  // axis and angles counted; NaN where a point is not determined. Sizes as given: one derivative
+  // a point.
+  double VarianceOfSum(std::span<const int> points,
+                       std::span<const Eigen::Vector3d> derivatives) const;
+
+  // How the error of a point comes about: its own, less transfer times that of entries `core` of
+  // axis and angles.
+  struct PointError {
+    Eigen::Matrix3d own_mm2 = Eigen::Matrix3d::Zero();
+    std::vector<Eigen::Index> core;
+    Eigen::Matrix3Xd transfer;
+  };
+  std::vector<PointError> point_errors;
 
   Eigen::MatrixXd cov_calibration() const { return along_modes.transpose() * along_modes; }
 };

@@ -5,81 +5,23 @@
 
 #include <algorithm>
 #include <cmath>
-#include <map>
-#include <memory>
 #include <numbers>
 #include <vector>
 
 #include "calib/error.h"
-#include "io/virtual_rig/virtual_rig.h"
+#include "tests/track/lifted_wheel.h"
 
 namespace plumbline {
 namespace {
 
-constexpr double kDegree = std::numbers::pi / 180;
+using testing::ChainOf;
+using testing::LiftedWheel;
+using testing::LiftedWheelOptions;
 
-// The lifted wheel seen by a rig of a quarter of the pixels, so that a turn is rendered in seconds.
-class LiftedWheel {
- public:
-  LiftedWheel(int frames, double step_rad) : frames_(frames) {
-    RigDesign design = DesignOf(RigKind::kWide640);
-    design.image_size = {320, 240};
-    design.pixel_um *= 2;
-    Scenario scenario = MakeScenario("tyre-lifted", plumbline::MakeRig(design), design.distance_mm);
-    scenario.frames = frames;
-    const auto& tyre = std::get<TyreOptions>(scenario.surface);
-    scenario.frames_per_second = tyre.speed_mm_s / tyre.free_rolling_radius_mm / step_rad;
-    rig_ = std::make_unique<VirtualRig>(scenario);
-  }
-
-  const StereoRig& rig() const { return rig_->scenario().rig; }
-  int frames() const { return frames_; }
-  const StereoFrame& Pair(int frame) {
-    const auto [at, is_new] = pairs_.try_emplace(frame);
-    if (is_new) {
-      at->second.left = rig_->TakeImage(frame, Side::kLeft);
-      at->second.right = rig_->TakeImage(frame, Side::kRight);
-    }
-    return at->second;
-  }
-  double Angle(int frame) const { return Wheel(frame).angle_rad - Wheel(0).angle_rad; }
-  WheelAxis Axis() const {
-    const Rigid3 rig_from_ground = rig_->GroundFromRig(0).Inverse();
-    return WheelAxis::Through(rig_from_ground * Eigen::Vector3d(0, 0, Wheel(0).centre_height_mm),
-                              rig_from_ground.rotation * Wheel(0).axis);
-  }
-
- private:
-  WheelState Wheel(int frame) const { return rig_->tyre()->Wheel(rig_->FrameTime(frame)); }
-
-  int frames_;
-  std::unique_ptr<VirtualRig> rig_;
-  std::map<int, StereoFrame> pairs_;
-};
-
-WheelChainOptions Options() {
-  WheelChainOptions options;
-  options.matching.field.step_px = 17;
-  options.matching.field.correlator.subset_px = 17;
-  return options;
-}
-
-// All frames, but for those that `blank` names: they see a grey wall.
-WheelChain ChainOf(LiftedWheel& wheel, const std::vector<int>& blank = {}) {
-  WheelChainBuilder builder(wheel.rig(), Options());
-  const GrayImage wall{Image<std::uint16_t>(wheel.rig().left.size(), 90), 8};
-  for (int f = 0; f < wheel.frames(); ++f) {
-    if (std::count(blank.begin(), blank.end(), f) > 0) {
-      EXPECT_FALSE(builder.Add(wall, wall)) << f;
-    } else {
-      EXPECT_TRUE(builder.Add(wheel.Pair(f).left, wheel.Pair(f).right)) << f;
-    }
-  }
-  return builder.Finish();
-}
+constexpr double kDegree = testing::kDegrees;
 
 WheelAdjustment Adjust(LiftedWheel& wheel, const WheelChain& chain, WheelProblem* problem) {
-  WheelTracks tracks(wheel.rig(), chain, Options());
+  WheelTracks tracks(wheel.rig(), chain, LiftedWheelOptions());
   for (int f = 0; f < wheel.frames(); ++f) {
     const WheelFrameMatches m = tracks.Add(f, wheel.Pair(f).left, wheel.Pair(f).right);
     if (std::isfinite(chain.angles_rad[static_cast<std::size_t>(f)])) {
@@ -138,18 +80,18 @@ TEST(WheelTracks, CloseAfterAFullTurn) {
 
 TEST(WheelChain, RefusesWhatDoesNotTurnOrShowsNothing) {
   LiftedWheel wheel(2, 4 * kDegree);
-  WheelChainBuilder still(wheel.rig(), Options());
+  WheelChainBuilder still(wheel.rig(), LiftedWheelOptions());
   for (int f = 0; f < 3; ++f) still.Add(wheel.Pair(0).left, wheel.Pair(0).right);
   EXPECT_THROW((void)still.Finish(), InputError);
-  WheelChainBuilder blind(wheel.rig(), Options());
-  const GrayImage wall{Image<std::uint16_t>(wheel.rig().left.size(), 90), 8};
+  WheelChainBuilder blind(wheel.rig(), LiftedWheelOptions());
+  const GrayImage wall = testing::Wall(wheel.rig());
   EXPECT_FALSE(blind.Add(wall, wall));
   EXPECT_THROW((void)blind.Finish(), InputError);
 }
 
 TEST(WheelChain, RefusesARigThatContradictsTheImages) {
   LiftedWheel wheel(2, 4 * kDegree);
-  WheelChainBuilder swapped(wheel.rig(), Options());
+  WheelChainBuilder swapped(wheel.rig(), LiftedWheelOptions());
   EXPECT_THROW(swapped.Add(wheel.Pair(0).right, wheel.Pair(0).left), InputError);
 }
 

@@ -136,7 +136,7 @@ void WheelEquations::Eliminate(std::size_t p, Eigen::MatrixXd& core) {
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(information);
   if (!(eigen.eigenvalues()[0] > kUndetermined * eigen.eigenvalues()[2])) return;
   e.determined = true;
-  e.inverse = information.llt().solve(Eigen::Matrix3d::Identity());
+  e.own_mm2 = information.llt().solve(Eigen::Matrix3d::Identity());
   for (Eigen::Index k = 0; k < kAxis; ++k) e.core.push_back(k);
   Eigen::Matrix3Xd W = Eigen::Matrix3Xd::Zero(3, kAxis);
   for (const std::size_t i : seen_[p]) {
@@ -159,7 +159,7 @@ void WheelEquations::Eliminate(std::size_t p, Eigen::MatrixXd& core) {
     W.leftCols<kAxis>() += w * row.d_point.transpose() * row.d_axis;
     W.col(column) += w * row.d_point.transpose() * row.d_angle;
   }
-  e.transfer = e.inverse * W;
+  e.transfer = e.own_mm2 * W;
   const Eigen::MatrixXd update = W.transpose() * e.transfer;
   for (Eigen::Index a = 0; a < update.rows(); ++a) {
     for (Eigen::Index b = 0; b < update.cols(); ++b) {
@@ -243,7 +243,7 @@ WheelEquations::Step WheelEquations::Solve(
       for (std::size_t k = 0; k < e.core.size(); ++k) {
         g[e.core[k]] -= e.transfer.col(static_cast<Eigen::Index>(k)).dot(gp);
       }
-      step.points[p] = -e.inverse * gp;
+      step.points[p] = -e.own_mm2 * gp;
       decrements[chunk] -= gp.dot(step.points[p]);
     }
   });
@@ -285,7 +285,7 @@ Eigen::Matrix3d WheelEquations::PointCovariance(std::size_t p,
           cov_core(e.core[static_cast<std::size_t>(a)], e.core[static_cast<std::size_t>(b)]);
     }
   }
-  return e.inverse + e.transfer * coupled * e.transfer.transpose();
+  return e.own_mm2 + e.transfer * coupled * e.transfer.transpose();
 }
 
 }  // namespace plumbline::internal

@@ -58,14 +58,12 @@ class WheelEquations {
   Step Solve(const std::function<const Eigen::Vector2d&(std::size_t)>& residual) const;
 
   Eigen::MatrixXd CoreCovariance() const;  // rows of what is not determined are zero
+  const WheelAdjustment::PointError& ErrorOf(std::size_t p) const { return points_[p]; }
   Eigen::Matrix3d PointCovariance(std::size_t p, const Eigen::MatrixXd& cov_core) const;
 
  private:
-  struct Eliminated {
+  struct Eliminated : WheelAdjustment::PointError {  // own: H_p^-1; transfer: H_p^-1 W_p
     bool determined = false;
-    Eigen::Matrix3d inverse = Eigen::Matrix3d::Zero();  // H_p^-1
-    std::vector<Eigen::Index> core;                     // entries that it is coupled to
-    Eigen::Matrix3Xd transfer;                          // H_p^-1 W_p
   };
 
   void Project(const StereoRig& rig, std::span<Eigen::Vector2d> pixels,

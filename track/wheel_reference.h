@@ -1,0 +1,120 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "calib/image.h"
+#include "calib/stereo_rig.h"
+#include "fit/wheel_axis.h"
+#include "match/feature_index.h"
+#include "track/wheel_adjustment.h"
+#include "track/wheel_profile.h"
+#include "track/wheel_tracks.h"
+
+namespace plumbline {
+
+// What a lifted, slowly turning wheel looks like at every angle, and its undeformed shape: what
+// frames of the rolling wheel are measured against.
+
+enum class WheelFrameStatus : std::uint8_t {
+  kPlaced = 0,
+  kUnreadable,
+  kNotFound,  // shows too little of what the frames before showed: blurred, dark, covered
+};
+inline constexpr std::array<std::string_view, 3> kWheelFrameStatusNames = {"placed", "unreadable",
+                                                                           "not_found"};
+
+// A frame of the recording. NaN where it is not placed.
+struct WheelFrame {
+  WheelFrameStatus status = WheelFrameStatus::kNotFound;
+  double angle_rad = 0;  // from the first placed frame; goes on beyond a turn
+  double sigma_random_rad = 0, sigma_calibration_rad = 0;  // of the angle
+  int matches = 0;                                         // of points in both images
+};
+
+// A reference image with the points of its grid in the undeformed state; all images of them have
+// the size of the grid, NaN where there is no point.
+struct WheelReferenceView {
+  int frame = 0;  // of the recording
+  double angle_rad = 0;
+  GrayImage left, right;
+  Eigen::Vector2i first_px{0, 0};
+  int step_px = 1;
+  Image<Eigen::Vector3d> point_mm;                   // wheel frame
+  Image<Eigen::Matrix<float, 6, 1>> cov_random_mm2;  // xx xy xz yy yz zz
+  Image<Eigen::Vector3f> sigma_calibration_mm;
+};
+
+struct WheelReference {
+  StereoRig rig;
+  WheelAxis axis;
+  // Rotation about the wheel's x, y, z (rad) and distance (mm): see WheelAdjustment.
+  Eigen::Matrix4d cov_axis_random = Eigen::Matrix4d::Zero();
+  Eigen::Matrix4d cov_axis_calibration = Eigen::Matrix4d::Zero();
+  std::vector<WheelFrame> frames;
+  Eigen::MatrixXd cov_angles_random_rad2;  // joint, of all frames
+  bool closed = false;                     // over a full turn
+  double misclosure_rad = 0;               // of the chain, before it was closed
+  double sigma0 = 0;                       // of the adjustment
+  std::int64_t observations = 0, outliers = 0;
+  WheelProfile profile;
+  std::vector<WheelReferenceView> views;  // by angle
+
+  double largest_angle_rad() const;
+};
+
+// What the adjustment of a recording says. matches: of each frame, in order.
+WheelReference MakeWheelReference(const StereoRig& rig, const WheelTracks& tracks,
+                                  const std::vector<WheelFrameMatches>& matches,
+                                  const WheelAdjustment& adjusted);
+
+struct WheelLibraryOptions {
+  FeatureIndexOptions index;
+  // A frame is on the wheel where so many features of a view agree in one motion. On the virtual
+  // rig at 640 x 480 px 120 to 170 do in its place, 77 to 100 once the tyre is loaded, 53 to 64
+  // when that is blurred by 7 px besides, and none of another tyre or when it is blurred by 15 px.
+  int least_agreeing = 15;
+  // And they must agree in how far the wheel has turned, to this (median deviation).
+  double most_scatter_rad = 0.02;
+
+  // Throws UsageError naming the broken constraint.
+  void Check() const;
+};
+
+// Where a frame may be on the wheel.
+struct WheelCandidate {
+  std::size_t view = 0;
+  double angle_rad = 0;    // of the wheel, about; 0 to 2 pi
+  double scatter_rad = 0;  // median deviation of what each feature says
+  int agreeing = 0;        // features
+};
+
+struct WheelPlace {
+  bool found = false;
+  std::vector<WheelCandidate> candidates;  // the best first; all that were looked at
+  std::string why;                         // not found: in a sentence
+};
+
+// The reference images of a wheel with an index of their features: finds a frame on the wheel
+// without an encoder. Built anew from the images, in some 0.1 s an image of 640 x 480 px.
+class WheelLibrary {
+ public:
+  // Keeps a reference to `wheel`. Throws UsageError from the options, InputError where the images
+  // show no features.
+  explicit WheelLibrary(const WheelReference& wheel, const WheelLibraryOptions& options = {});
+
+  // Where a left image of the same rig is on the wheel: never guessed. The surface may be deformed;
+  // the angle is then that of the deformed surface, about.
+  [[nodiscard]] WheelPlace Find(const GrayImage& left) const;
+
+ private:
+  const WheelReference& wheel_;
+  WheelLibraryOptions options_;
+  FeatureIndex index_;
+};
+
+}  // namespace plumbline
