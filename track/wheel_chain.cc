@@ -87,6 +87,12 @@ void CheckRig(const StereoSeeds& seeds, double max_epipolar_px) {
 
 void WheelChainOptions::Check() const {
   matching.Check();
+  if (matching.field.step_px < matching.field.correlator.subset_px) {
+    throw UsageError(fmt::format(
+        "The points of a wheel lie at least a subset apart, so that they share no noise: a step of "
+        "{} px is less than the subset's {}.",
+        matching.field.step_px, matching.field.correlator.subset_px));
+  }
   if (!(least_seen_share > 0.2 && least_seen_share < 1)) {
     throw UsageError(fmt::format(
         "A new view of the wheel begins where a share between 0.2 and 1 of the last is seen; {} is "

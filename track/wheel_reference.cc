@@ -138,6 +138,7 @@ WheelReference MakeWheelReference(const StereoRig& rig, const WheelTracks& track
   for (Eigen::Index f = 0; f < n; ++f) {
     WheelFrame frame;
     const Eigen::Index at = kAxis + f;
+    frame.index = f;
     frame.angle_rad = adjusted.angles_rad[static_cast<std::size_t>(f)];
     frame.sigma_random_rad = std::sqrt(adjusted.cov_random(at, at));
     frame.sigma_calibration_rad = modes > 0 ? adjusted.along_modes.col(at).norm() : kNone;

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <limits>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -30,6 +31,8 @@ inline constexpr std::array<std::string_view, 3> kWheelFrameStatusNames = {"plac
 
 // A frame of the recording. NaN where it is not placed.
 struct WheelFrame {
+  std::int64_t index = 0;                                    // in the recording
+  double time_s = std::numeric_limits<double>::quiet_NaN();  // NaN without a clock
   WheelFrameStatus status = WheelFrameStatus::kNotFound;
   double angle_rad = 0;  // from the first placed frame; goes on beyond a turn
   double sigma_random_rad = 0, sigma_calibration_rad = 0;  // of the angle
@@ -39,7 +42,7 @@ struct WheelFrame {
 // A reference image with the points of its grid in the undeformed state; all images of them have
 // the size of the grid, NaN where there is no point.
 struct WheelReferenceView {
-  int frame = 0;  // of the recording
+  int frame = 0;  // place in WheelReference::frames
   double angle_rad = 0;
   GrayImage left, right;
   Eigen::Vector2i first_px{0, 0};
@@ -67,7 +70,8 @@ struct WheelReference {
   double largest_angle_rad() const;
 };
 
-// What the adjustment of a recording says. matches: of each frame, in order.
+// What the adjustment of a recording says. matches: of each frame, in order. The frames' index is
+// their place; they have no time.
 WheelReference MakeWheelReference(const StereoRig& rig, const WheelTracks& tracks,
                                   const std::vector<WheelFrameMatches>& matches,
                                   const WheelAdjustment& adjusted);

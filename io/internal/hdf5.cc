@@ -167,6 +167,7 @@ template <> hid_t NativeType<double>() { return H5T_NATIVE_DOUBLE; }
 template <> hid_t NativeType<std::int32_t>() { return H5T_NATIVE_INT32; }
 template <> hid_t NativeType<std::int64_t>() { return H5T_NATIVE_INT64; }
 template <> hid_t NativeType<std::uint8_t>() { return H5T_NATIVE_UINT8; }
+template <> hid_t NativeType<std::uint16_t>() { return H5T_NATIVE_UINT16; }
 // clang-format on
 
 void SetText(hid_t object, const std::string& name, const std::string& value) {

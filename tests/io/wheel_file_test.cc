@@ -1,0 +1,173 @@
+#include "io/wheel_file.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <cstring>
+#include <fstream>
+#include <limits>
+
+#include "calib/error.h"
+#include "tests/io/h5py_checks.h"
+#include "tests/io/series_fixture.h"
+
+namespace plumbline {
+namespace {
+namespace fs = std::filesystem;
+using testing::SmallRig;
+using testing::TestFolder;
+
+constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+
+// Two views of a wheel of 384 mm; the second of three frames was not found.
+WheelReference Wheel(int bits) {
+  WheelReference wheel{.rig = SmallRig(),
+                       .axis = WheelAxis::Through({20, 3, -224}, {0.03, -1, 0.02}),
+                       .frames = {},
+                       .cov_angles_random_rad2 = {},
+                       .profile = {},
+                       .views = {}};
+  wheel.cov_axis_random = 1e-6 * Eigen::Matrix4d::Identity();
+  wheel.cov_axis_calibration = 1e-4 * Eigen::Matrix4d::Identity();
+  wheel.closed = true;
+  wheel.misclosure_rad = 0.001;
+  wheel.sigma0 = 0.9;
+  wheel.observations = 1000;
+  wheel.outliers = 3;
+  wheel.frames = {{7, 0.1, WheelFrameStatus::kPlaced, 0, 0, 0, 40},
+                  {8, 0.2, WheelFrameStatus::kNotFound, kNone, kNone, kNone, 0},
+                  {9, 0.3, WheelFrameStatus::kPlaced, 0.5, 1e-5, 2e-5, 41}};
+  wheel.cov_angles_random_rad2 = Eigen::Matrix3d::Zero();
+  wheel.cov_angles_random_rad2(2, 2) = 1e-10;
+  wheel.profile.y_mm = {-5, 0, 5};
+  wheel.profile.radius_mm = {383.9, 384, 383.9};
+  wheel.profile.sigma_random_mm = {1e-3, 1e-3, 2e-3};
+  wheel.profile.sigma_calibration_mm = {0.1, 0.1, 0.1};
+  wheel.profile.scatter_mm = {0.01, 0.01, 0.01};
+  wheel.profile.points = {10, 20, 30};
+  wheel.profile.crown_radius_mm = 384;
+  const ImageSize images = wheel.rig.left.size(), grid{4, 3};
+  for (const int frame : {0, 2}) {
+    WheelReferenceView view;
+    view.frame = frame;
+    view.angle_rad = wheel.frames[static_cast<std::size_t>(frame)].angle_rad;
+    view.left = view.right = {Image<std::uint16_t>(images, 7), bits};
+    view.right.grey(1, 2) = static_cast<std::uint16_t>((1 << bits) - 1 - frame);
+    view.first_px = {14, 15};
+    view.step_px = 24;
+    view.point_mm = Image<Eigen::Vector3d>(grid, Eigen::Vector3d(1, 2, 3.5 + frame));
+    view.point_mm(1, 1).setConstant(kNone);
+    view.cov_random_mm2 =
+        Image<Eigen::Matrix<float, 6, 1>>(grid, Eigen::Matrix<float, 6, 1>::LinSpaced(1.0F, 6.0F));
+    view.sigma_calibration_mm = Image<Eigen::Vector3f>(grid, Eigen::Vector3f(0.1F, 0.2F, 0.3F));
+    wheel.views.push_back(view);
+  }
+  return wheel;
+}
+
+template <typename T>
+bool SameBits(const Image<T>& a, const Image<T>& b) {
+  return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.pixel_count() * sizeof(T)) == 0;
+}
+
+TEST(WheelFile, ReadsBackTheSameBits) {
+  for (const int bits : {8, 12}) {
+    const fs::path file = TestFolder() / "wheel.h5";
+    const WheelReference wheel = Wheel(bits);
+    WriteWheelFile(file, wheel, "recipe = 1", {});
+    const WheelReference back = ReadWheelFile(file);
+    EXPECT_EQ(back.rig.Parameters(), wheel.rig.Parameters());
+    EXPECT_EQ(back.axis.rotation, wheel.axis.rotation);
+    EXPECT_EQ(back.axis.distance_mm, wheel.axis.distance_mm);
+    EXPECT_EQ(back.cov_axis_random, wheel.cov_axis_random);
+    EXPECT_EQ(back.cov_axis_calibration, wheel.cov_axis_calibration);
+    EXPECT_EQ(back.cov_angles_random_rad2, wheel.cov_angles_random_rad2);
+    EXPECT_TRUE(back.closed);
+    EXPECT_EQ(back.misclosure_rad, wheel.misclosure_rad);
+    EXPECT_EQ(back.sigma0, wheel.sigma0);
+    EXPECT_EQ(back.observations, 1000);
+    EXPECT_EQ(back.outliers, 3);
+    ASSERT_EQ(back.frames.size(), 3U);
+    EXPECT_EQ(back.frames[1].status, WheelFrameStatus::kNotFound);
+    EXPECT_TRUE(std::isnan(back.frames[1].angle_rad));
+    EXPECT_EQ(back.frames[2].index, 9);
+    EXPECT_EQ(back.frames[2].time_s, 0.3);
+    EXPECT_EQ(back.frames[2].sigma_calibration_rad, 2e-5);
+    EXPECT_EQ(back.frames[2].matches, 41);
+    EXPECT_EQ(back.profile.radius_mm, wheel.profile.radius_mm);
+    EXPECT_EQ(back.profile.points, wheel.profile.points);
+    ASSERT_EQ(back.views.size(), 2U);
+    for (std::size_t v = 0; v < 2; ++v) {
+      const WheelReferenceView &a = wheel.views[v], &b = back.views[v];
+      EXPECT_EQ(b.frame, a.frame);
+      EXPECT_EQ(b.angle_rad, a.angle_rad);
+      EXPECT_EQ(b.left.bits, bits);
+      EXPECT_TRUE(SameBits(a.left.grey, b.left.grey));
+      EXPECT_TRUE(SameBits(a.right.grey, b.right.grey));
+      EXPECT_EQ(b.first_px, a.first_px);
+      EXPECT_EQ(b.step_px, a.step_px);
+      EXPECT_TRUE(SameBits(a.point_mm, b.point_mm));
+      EXPECT_TRUE(SameBits(a.cov_random_mm2, b.cov_random_mm2));
+      EXPECT_TRUE(SameBits(a.sigma_calibration_mm, b.sigma_calibration_mm));
+    }
+  }
+}
+
+TEST(WheelFile, IsReadByH5py) {
+  const fs::path file = TestFolder() / "wheel.h5";
+  WriteWheelFile(file, Wheel(8));
+  testing::WalkWithH5py(file, R"py(
+assert f.attrs['format'] == 'plumbline-wheel' and f.attrs['format_version'] == 1
+check_nexus('frames', 'profile')
+R = f['wheel/rotation'][:]
+assert np.allclose(R[:, 1], f['wheel/axis'][:]) and np.allclose(R @ R.T, np.eye(3))
+assert f['views/left'].dtype == np.uint8 and f['views/right'][1, 1, 2] == 253
+assert f['views/left'].compression == 'gzip'
+assert f['views/point'][1, 0, 0, 2] == 5.5 and np.isnan(f['views/point'][0, 1, 1]).all()
+names = h5py.check_enum_dtype(f['frames/status'].dtype)
+assert f['frames/status'][1] == names['not_found']
+assert list(f['frames/index'][:]) == [7, 8, 9]
+assert f['views'].attrs['step_px'] == 24
+print('walked', count)
+)py");
+}
+
+TEST(WheelFile, SaysWhatIsWrong) {
+  const fs::path folder = TestFolder();
+  const auto refusal = [&](const std::string& name) -> std::string {
+    try {
+      (void)ReadWheelFile(folder / name);
+    } catch (const InputError& error) {
+      return error.what();
+    }
+    return "";
+  };
+  WriteWheelFile(folder / "good.h5", Wheel(8));
+  EXPECT_EQ(refusal("good.h5"), "");
+  std::ofstream(folder / "text.h5") << "no HDF5 at all";
+  const auto made = testing::RunPython(R"py(
+import sys, shutil, h5py, numpy as np
+folder = sys.argv[1]
+def spoil(name):
+    shutil.copy(folder + '/good.h5', folder + '/' + name + '.h5')
+    return h5py.File(folder + '/' + name + '.h5', 'r+')
+spoil('axis')['wheel/rotation'][0, 0] = np.nan
+del spoil('views')['views/left']
+spoil('frame')['views/frame'][1] = 3
+f = spoil('points'); p = f['views/point'][:, :2]; del f['views/point']; f['views/point'] = p
+spoil('rig').attrs['format'] = 'plumbline-rig'
+)py",
+                                       folder.string());
+  ASSERT_EQ(made.exit_code, 0) << made.output;
+  EXPECT_THAT(refusal("none.h5"), ::testing::HasSubstr("plumbline reference"));
+  EXPECT_THAT(refusal("text.h5"), ::testing::HasSubstr("text.h5"));
+  EXPECT_THAT(refusal("axis.h5"), ::testing::HasSubstr("/wheel/rotation"));
+  EXPECT_THAT(refusal("views.h5"), ::testing::HasSubstr("views/left"));
+  EXPECT_THAT(refusal("frame.h5"), ::testing::HasSubstr("/views/frame"));
+  EXPECT_THAT(refusal("points.h5"), ::testing::HasSubstr("grids"));
+  EXPECT_THAT(refusal("rig.h5"), ::testing::HasSubstr("plumbline-wheel"));
+}
+
+}  // namespace
+}  // namespace plumbline
