@@ -5,6 +5,7 @@ namespace plumbline::internal {
 std::vector<std::unique_ptr<Command>> AllCommands() {
   std::vector<std::unique_ptr<Command>> commands;
   commands.push_back(MakeCalibrateCommand());
+  commands.push_back(MakeReferenceCommand());
   commands.push_back(MakeMeasureCommand());
   commands.push_back(MakeCorrelateCommand());
   commands.push_back(MakeAnalyseCommand());

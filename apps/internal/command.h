@@ -45,6 +45,7 @@ class Command {
 };
 
 std::unique_ptr<Command> MakeCalibrateCommand();
+std::unique_ptr<Command> MakeReferenceCommand();
 std::unique_ptr<Command> MakeMeasureCommand();
 std::unique_ptr<Command> MakeCorrelateCommand();
 std::unique_ptr<Command> MakeAnalyseCommand();

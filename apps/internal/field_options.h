@@ -15,6 +15,11 @@ void SetPrefilter(const std::string& text, CorrelationImageOptions& options);
 // The options of subsets and their correlation, the same wherever images are correlated.
 class FieldOptionSet {
  public:
+  // The subset where none is given.
+  explicit FieldOptionSet(int subset_px = CorrelatorOptions().subset_px) {
+    correlator_.subset_px = subset_px;
+  }
+
   // noise_file: whether --noise is one of them.
   void Declare(OptionTable& options, bool noise_file = true);
 
