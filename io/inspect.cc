@@ -15,6 +15,7 @@
 #include "io/planar_series_reader.h"
 #include "io/rig_file.h"
 #include "io/series_reader.h"
+#include "io/wheel_file.h"
 
 namespace plumbline {
 namespace {
@@ -165,6 +166,14 @@ FileSummary Inspect(const fs::path& file) {
 
 std::vector<std::string> Validate(const fs::path& file) {
   std::vector<std::string> findings;
+  if (IsWheelFile(file)) {
+    try {
+      (void)ReadWheelFile(file);
+    } catch (const InputError& error) {
+      findings.emplace_back(error.what());
+    }
+    return findings;
+  }
   const fs::path parts = internal::PartsFolder(file);
   std::error_code ignored;
   if (fs::exists(parts, ignored) && !internal::HoldsARun(file)) {

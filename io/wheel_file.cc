@@ -412,6 +412,17 @@ void WriteWheelFile(const fs::path& path, const WheelReference& wheel,
   }
 }
 
+bool IsWheelFile(const fs::path& path) {
+  std::error_code ignored;
+  if (!fs::is_regular_file(path, ignored)) return false;
+  try {
+    const Id file = hdf5::OpenForeignFile(path);
+    return hdf5::GetText(file.get(), "format") == kFormat;
+  } catch (const hdf5::Error&) {
+    return false;
+  }
+}
+
 WheelReference ReadWheelFile(const fs::path& path) {
   std::error_code ignored;
   if (!fs::is_regular_file(path, ignored)) {

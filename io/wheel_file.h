@@ -14,6 +14,9 @@ void WriteWheelFile(const std::filesystem::path& path, const WheelReference& whe
                     const std::string& recipe_toml = {},
                     const std::vector<std::filesystem::path>& inputs = {});
 
+// Whether a file says that it is one. False where it cannot be read at all.
+bool IsWheelFile(const std::filesystem::path& path);
+
 // Reads it, bit for bit as it was written. Throws InputError naming the file and what is missing or
 // wrong in it.
 WheelReference ReadWheelFile(const std::filesystem::path& path);

@@ -6,6 +6,7 @@
 #include <cmath>
 #include <limits>
 #include <numbers>
+#include <optional>
 
 #include "calib/error.h"
 #include "calib/median.h"
@@ -44,23 +45,41 @@ WheelReferenceView ViewOf(const WheelView& view, const WheelAdjustment& adjusted
   return out;
 }
 
-// How far the wheel has turned since a view, by one feature of it that is now elsewhere: the
-// nearest point of the grid is turned until it is where the feature is, as near as it gets. NaN
-// where no point is near.
-double TurnOf(const WheelReference& wheel, const WheelReferenceView& view,
-              const CorrelationSeed& seed) {
-  const Eigen::Vector2d cell =
-      (seed.reference_px - view.first_px.cast<double>()) / static_cast<double>(view.step_px);
+// The point of a view that is nearest to a pixel, of the nine around it.
+struct NearPoint {
+  Eigen::Vector3d point_mm;
+  Eigen::Vector2d pixel;
+};
+
+std::optional<NearPoint> NearestPoint(const WheelReferenceView& view, const Eigen::Vector2d& px) {
+  const Eigen::Vector2d cell = (px - view.first_px.cast<double>()) / view.step_px;
   const auto column = static_cast<int>(std::lround(cell.x()));
   const auto row = static_cast<int>(std::lround(cell.y()));
-  if (row < 0 || column < 0 || row >= view.point_mm.height() || column >= view.point_mm.width()) {
-    return kNone;
+  std::optional<NearPoint> nearest;
+  for (int r = std::max(0, row - 1); r <= std::min(view.point_mm.height() - 1, row + 1); ++r) {
+    for (int c = std::max(0, column - 1); c <= std::min(view.point_mm.width() - 1, column + 1);
+         ++c) {
+      const Eigen::Vector2d at =
+          (view.first_px + view.step_px * Eigen::Vector2i(c, r)).cast<double>();
+      if (!view.point_mm(r, c).allFinite() ||
+          (nearest && (nearest->pixel - px).norm() <= (at - px).norm())) {
+        continue;
+      }
+      nearest = {view.point_mm(r, c), at};
+    }
   }
-  const Eigen::Vector3d& point = view.point_mm(row, column);
-  if (!point.allFinite()) return kNone;
-  const Eigen::Vector2d from_point =
-      seed.reference_px -
-      (view.first_px + view.step_px * Eigen::Vector2i(column, row)).cast<double>();
+  return nearest;
+}
+
+// How far the wheel has turned since a view, by one feature of it that is now elsewhere: the
+// nearest point of the grid is turned until it is where the feature is, as near as it gets. NaN
+// where no point is near: the feature is not of the wheel, but of what a mask left out.
+double TurnOf(const WheelReference& wheel, const WheelReferenceView& view,
+              const CorrelationSeed& seed) {
+  const std::optional<NearPoint> near = NearestPoint(view, seed.reference_px);
+  if (!near) return kNone;
+  const Eigen::Vector3d& point = near->point_mm;
+  const Eigen::Vector2d from_point = seed.reference_px - near->pixel;
   const Eigen::Vector2d goal = seed.reference_px + seed.displacement_px -
                                (Eigen::Matrix2d::Identity() + seed.gradient) * from_point;
   constexpr int kSteps = 15;
@@ -84,12 +103,12 @@ WheelCandidate CandidateOf(const WheelReference& wheel, const IndexMatch& match)
   const WheelReferenceView& view = wheel.views[match.image];
   WheelCandidate candidate;
   candidate.view = match.image;
-  candidate.agreeing = static_cast<int>(match.agreeing.size());
   std::vector<double> turns;
   for (const CorrelationSeed& seed : match.agreeing) {
     const double turn = TurnOf(wheel, view, seed);
     if (std::isfinite(turn)) turns.push_back(turn);
   }
+  candidate.agreeing = static_cast<int>(turns.size());
   candidate.angle_rad = candidate.scatter_rad = kNone;
   if (turns.empty()) return candidate;
   const double turn = Median(turns);
@@ -186,6 +205,10 @@ WheelPlace WheelLibrary::Find(const GrayImage& left) const {
   for (const IndexMatch& match : index_.Find(left)) {
     place.candidates.push_back(CandidateOf(wheel_, match));
   }
+  std::erase_if(place.candidates, [](const WheelCandidate& c) { return c.agreeing == 0; });
+  std::stable_sort(
+      place.candidates.begin(), place.candidates.end(),
+      [](const WheelCandidate& a, const WheelCandidate& b) { return a.agreeing > b.agreeing; });
   if (place.candidates.empty()) {
     place.why = "no features of the wheel's reference images are in it";
     return place;

@@ -6,6 +6,8 @@
 #include "apps/internal/command.h"
 #include "apps/internal/planar_report.h"
 #include "apps/internal/result_file.h"
+#include "apps/internal/wheel_report.h"
+#include "io/wheel_file.h"
 
 namespace plumbline::internal {
 namespace {
@@ -13,18 +15,29 @@ namespace {
 class InfoCommand : public Command {
  public:
   std::string Name() const override { return "info"; }
-  std::string Summary() const override { return "Tell what is in a run or a rig file."; }
+  std::string Summary() const override { return "Tell what is in a run, a rig or a wheel file."; }
 
   void Declare(OptionTable& options) override {
-    options.Add(
-        {.name = "FILE", .help = "a run or a rig file (.h5)", .required = true, .positional = true},
-        &file_);
+    options.Add({.name = "FILE",
+                 .help = "a run, a rig or a wheel file (.h5)",
+                 .required = true,
+                 .positional = true},
+                &file_);
     options.Add({.name = "with-recipe", .help = "print the recipe that made it, too"}, &recipe_);
   }
 
   CommandReport Run(const CommonOptions&, const std::string&) override {
-    const ResultFile file = OpenResultFile(file_);
     CommandReport report;
+    if (IsWheelFile(file_)) {
+      const WheelReference wheel = ReadWheelFile(file_);
+      report.json = JsonOf(wheel);
+      report.json["format"] = "plumbline-wheel";
+      report.json["file"] = file_;
+      report.text = fmt::format("{}: the reference of a wheel.\n", file_) + TextOf(wheel) +
+                    RigText(wheel.rig);
+      return report;
+    }
+    const ResultFile file = OpenResultFile(file_);
     report.json["file"] = file_;
     if (file.planar) {
       DescribePlanar(*file.planar, report);

@@ -11,13 +11,15 @@ class ValidateCommand : public Command {
  public:
   std::string Name() const override { return "validate"; }
   std::string Summary() const override {
-    return "Check that a run or a rig file is whole: everything is read.";
+    return "Check that a run, a rig or a wheel file is whole: everything is read.";
   }
 
   void Declare(OptionTable& options) override {
-    options.Add(
-        {.name = "FILE", .help = "a run or a rig file (.h5)", .required = true, .positional = true},
-        &file_);
+    options.Add({.name = "FILE",
+                 .help = "a run, a rig or a wheel file (.h5)",
+                 .required = true,
+                 .positional = true},
+                &file_);
   }
 
   CommandReport Run(const CommonOptions&, const std::string&) override {

@@ -17,8 +17,8 @@ using ::testing::Not;
 using testing::RunPlumbline;
 using testing::TestFolder;
 
-constexpr const char* kCommands[] = {"calibrate", "measure",  "disparity", "noise",  "speckle",
-                                     "info",      "validate", "export",    "recover"};
+constexpr const char* kCommands[] = {"calibrate", "measure",  "disparity", "noise",   "speckle",
+                                     "info",      "validate", "export",    "recover", "reference"};
 
 // The complaint, one sentence on one line, with this exit code.
 void ExpectComplaint(const std::string& arguments, int exit_code, const std::string& part) {
