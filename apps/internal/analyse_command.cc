@@ -182,6 +182,7 @@ CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const Common
   header.displacement_reference = series.displacement_reference();
   if (header.reference) header.reference->left_id = reference.left_id;
   header.recipe_toml = JoinRecipes(series.facts().recipe_toml, recipe_toml);
+  header.channels = series.channels();
   header.inputs = {fs::path(file_)};
   header.inputs.insert(header.inputs.end(), neighbours.files.begin(), neighbours.files.end());
 

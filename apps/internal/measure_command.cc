@@ -9,6 +9,7 @@
 #include <functional>
 #include <memory>
 
+#include "apps/internal/channel_options.h"
 #include "apps/internal/command.h"
 #include "apps/internal/foreign_rig_options.h"
 #include "apps/internal/frame_options.h"
@@ -130,6 +131,7 @@ class MeasureCommand : public Command {
   ForeignRigOptionSet foreign_rig_;
   std::string matcher_ = "sgbm", roi_, mask_, rectification_ = "auto", shard_;
   FrameOptionSet frames_;
+  ChannelOptionSet channels_;
   std::optional<int> step_px_, reference_frame_;
   bool overwrite_ = false, resume_ = false;
   MeasureOptions sgbm_;
@@ -195,6 +197,7 @@ void MeasureCommand::Declare(OptionTable& options) {
 
 void MeasureCommand::DeclareRun(OptionTable& options) {
   frames_.Declare(options, "pairs", "frame");
+  channels_.Declare(options);
   options.Add(
       {.name = "resume",
        .help = "go on with a run that was broken off; one that is finished is left as it is"},
@@ -375,12 +378,14 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
         "Note: this calibration does not say how sure it is, so the calibration part of all "
         "uncertainties is unknown (NaN). Calibrate with plumbline calibrate to have it.");
   }
+  const std::vector<Channel> channels = channels_.Read();
   const auto source = OpenImageSource(left_, right_, frames_.Options());
   Measurement measurement = dic ? Dic(rig, common.seed) : Sgbm(rig, common.seed);
   for (const std::string& note : measurement.notes) spdlog::info("Note: {}", note);
 
   SeriesHeader& header = measurement.header;
   header.recipe_toml = recipe_toml;
+  header.channels = channels;
   header.inputs = source->Files();
   for (const fs::path& file : measurement.inputs) {
     const auto end = header.inputs.end();
@@ -388,7 +393,7 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
   }
   for (const std::string& file : rig.files) header.inputs.emplace_back(file);
   for (const std::string& file :
-       {mask_, frames_.timestamps(), dic ? dic_.noise() : std::string()}) {
+       {mask_, frames_.timestamps(), channels_.file(), dic ? dic_.noise() : std::string()}) {
     if (!file.empty()) header.inputs.emplace_back(file);
   }
   MeasuredRange range;

@@ -106,6 +106,32 @@ TEST(StereoDic, IsEvaluatedAgainFromItsMatches) {
   EXPECT_THAT(refused.output, HasSubstr("between 3 and 255 points"));
 }
 
+TEST(StereoDic, KeepsTheChannelsOfALogger) {
+  const fs::path run = TestFolder() / "run.h5", again = TestFolder() / "again.h5",
+                 table = TestFolder() / "channels.csv";
+  std::ofstream(table) << "time_s,force_x_N,v [m/s]\n5.0,1,2\n5.1,,3\n";
+  RunJson(Measure(run, "--frames 0:2 --channels " + table.string() + " --channel-offset 4.9"));
+  RunJson("analyse -q " + run.string() + " -o " + again.string());
+  for (const fs::path& file : {run, again}) {
+    const CommandResult python = RunPython(
+        "import sys, h5py, numpy as np\n"
+        "f = h5py.File(sys.argv[1])['channels']\n"
+        "assert sorted(f) == ['force_x', 'v'], list(f)\n"
+        "x = f['force_x']\n"
+        "assert (x['time_s'][:] == [5.0, 5.1]).all() and x['value'].attrs['units'] == 'N'\n"
+        "assert x['value'][0] == 1 and np.isnan(x['value'][1])\n"
+        "assert x.attrs['clock_offset_s'] == 4.9 and np.isnan(x.attrs['sigma_clock_offset_s'])\n"
+        "print('kept')\n",
+        file.string());
+    EXPECT_THAT(python.output, HasSubstr("kept"));
+  }
+  std::ofstream(table) << "time_s,v\n5.0,fast\n";
+  const CommandResult refused =
+      RunPlumbline(Measure(run, "--overwrite --channels " + table.string()));
+  EXPECT_EQ(refused.exit_code, 3);
+  EXPECT_THAT(refused.output, HasSubstr("line 2, column v: \"fast\" is no number"));
+}
+
 TEST(StereoDic, IsEvaluatedAgainWhereTheReferenceIsNoneOfItsFrames) {
   const fs::path late = TestFolder() / "late.h5", again = TestFolder() / "again.h5";
   const auto measured = RunJson(Measure(late, "--reference-frame 0 --frames 4:6"));

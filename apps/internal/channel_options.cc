@@ -1,0 +1,34 @@
+#include "apps/internal/channel_options.h"
+
+#include "calib/error.h"
+#include "io/channel_table.h"
+
+namespace plumbline::internal {
+
+void ChannelOptionSet::Declare(OptionTable& options) {
+  options.Add({.name = "channels",
+               .help = "a text table of signals that were logged beside the cameras, kept on the "
+                       "logger's clock; its first line names the columns, as \"time [s],speed "
+                       "[m/s]\"",
+               .unit = "FILE"},
+              &file_);
+  options.Add({.name = "channel-offset",
+               .help = "what the logger's clock reads when that of the frames is 0; not given: not "
+                       "known",
+               .unit = "s"},
+              &clock_offset_s_);
+}
+
+std::vector<Channel> ChannelOptionSet::Read() const {
+  if (file_.empty()) {
+    if (clock_offset_s_) throw UsageError("--channel-offset is of --channels, which is not given.");
+    return {};
+  }
+  std::vector<Channel> channels = ReadChannelTable(file_);
+  for (Channel& channel : channels) {
+    if (clock_offset_s_) channel.clock_offset_s = *clock_offset_s_;
+  }
+  return channels;
+}
+
+}  // namespace plumbline::internal
