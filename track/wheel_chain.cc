@@ -119,6 +119,7 @@ struct WheelChainBuilder::Impl {
 
   bool Begin(const GrayImage& left, const GrayImage& right);
   bool StartSequence(const GrayImage& left, const GrayImage& right);
+  void LookFrom(const WheelView& view);
   void BeginView(int frame, const GrayImage& left, const GrayImage& right,
                  const PreparedPair& pair);
   std::optional<PlacedBy> FindAnew(const GrayImage& left, const GrayImage& right);
@@ -127,7 +128,7 @@ struct WheelChainBuilder::Impl {
                                      int least_points) const;
   void TryToClose(int frame, const PreparedPair& pair);
   int LeastPoints() const {
-    return std::max(options.least_points, static_cast<int>(options.least_share * last_count));
+    return std::max(options.least_points, static_cast<int>(options.least_share * last_inner));
   }
   Rigid3 TurnBy(double angle_rad) const {
     return axis->RigFromWheel(angle_rad) * axis->RigFromWheel(0).Inverse();
@@ -150,11 +151,18 @@ struct WheelChainBuilder::Impl {
   std::unique_ptr<StereoSequence> sequence;
   std::unique_ptr<ViewMatcher> last, first;
   int last_count = 0;  // points of the last view
+  int last_inner = 0;  // of them, those that frames can be placed by
   // The frame that showed the first view again, and its motion since then.
   std::optional<std::pair<int, PlacedBy>> closing;
   std::optional<WheelAxis> axis;
   std::vector<double> angles;
 };
+
+void WheelChainBuilder::Impl::LookFrom(const WheelView& view) {
+  last = std::make_unique<ViewMatcher>(rig, view, options.matching, mask);
+  last_inner =
+      static_cast<int>(std::min(last->Expect({}, false).size(), last->Expect({}, true).size()));
+}
 
 // The view of the first pair. False, with `problem`, where it cannot be matched.
 bool WheelChainBuilder::Impl::StartSequence(const GrayImage& left, const GrayImage& right) {
@@ -182,7 +190,7 @@ bool WheelChainBuilder::Impl::Begin(const GrayImage& left, const GrayImage& righ
   }
   const SubsetGrid grid = sequence->correlator().grid();
   views.push_back({frame, 0, left, right, grid.first_px, grid.step_px, points});
-  last = std::make_unique<ViewMatcher>(rig, views.back(), options.matching, mask);
+  LookFrom(views.back());
   frames.back() = {0, PlacedBy{{}, last_count}};
   return true;
 }
@@ -198,7 +206,7 @@ void WheelChainBuilder::Impl::BeginView(int frame, const GrayImage& left, const 
   if (count < kAsGood * last_count) return;
   views.push_back({frame, 0, left, right, views.back().first_px, views.back().step_px, points});
   last_count = count;
-  last = std::make_unique<ViewMatcher>(rig, views.back(), options.matching, mask);
+  LookFrom(views.back());
 }
 
 // By seeds, whatever the motion.
@@ -288,7 +296,7 @@ void WheelChainBuilder::Impl::TryToClose(int frame, const PreparedPair& pair) {
   if (first == nullptr) {
     first = std::make_unique<ViewMatcher>(rig, views.front(), options.matching, mask);
   }
-  const int least = CountOf(views.front().point_in_rig_mm) / 3;
+  const int least = static_cast<int>(first->Expect({}, false).size()) / 3;
   const auto placed =
       FindTurned(*first, pair, left_rad, kMisclosure_rad / 8, kMisclosure_rad, least);
   if (placed) closing = {frame, *placed};
@@ -328,7 +336,7 @@ bool WheelChainBuilder::Add(const GrayImage& left, const GrayImage& right) {
   if (!placed) return false;
   impl.Estimate();
   impl.TryToClose(frame, pair);
-  if (impl.axis && placed->points < impl.options.least_seen_share * impl.last_count) {
+  if (impl.axis && placed->points < impl.options.least_seen_share * impl.last_inner) {
     impl.BeginView(frame, left, right, pair);
   }
   return true;

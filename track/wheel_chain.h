@@ -17,7 +17,7 @@ struct WheelChainOptions {
   // How pairs are matched: subset, order, interpolation, noise, seeds. The grid's step is that of
   // the points that are followed: at least as wide as the subset, so that they share no noise.
   // Subsets are small, since a wide view bends them from frame to frame, and what is of third order
-  // is not followed: on the virtual rig's tyre 33 px are 25 sigmas off in the angle, 21 px are 2.
+  // is not followed: on the virtual rig's tyre 33 px are 21 sigmas off in the angle, 21 px are 2.
   StereoSequenceOptions matching;
   // A new view begins where less than this share of the last one's points is still seen.
   double least_seen_share = 0.6;

@@ -79,8 +79,8 @@ WheelReference MakeWheelReference(const StereoRig& rig, const WheelTracks& track
 struct WheelLibraryOptions {
   FeatureIndexOptions index;
   // A frame is on the wheel where so many features of a view agree in one motion. On the virtual
-  // rig at 640 x 480 px 120 to 170 do in its place, 77 to 100 once the tyre is loaded, 53 to 64
-  // when that is blurred by 7 px besides, and none of another tyre or when it is blurred by 15 px.
+  // rig at 640 x 480 px 129 and more do in a view's place, 70 once the tyre is loaded, 53 when that
+  // is blurred by 7 px besides, and none of another tyre or when it is blurred by 15 px.
   int least_agreeing = 15;
   // And they must agree in how far the wheel has turned, to this (median deviation).
   double most_scatter_rad = 0.02;

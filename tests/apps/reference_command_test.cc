@@ -90,7 +90,7 @@ TEST_F(ReferenceCommand, WritesTheWheel) {
 }
 
 TEST_F(ReferenceCommand, TellsWhatTheUserShouldKnow) {
-  const CommandResult made = RunPlumbline(Arguments("-q"));
+  const CommandResult made = RunPlumbline(Arguments(""));
   ASSERT_EQ(made.exit_code, 0) << made.output;
   EXPECT_THAT(made.output, HasSubstr("Wheel axis: along"));
   EXPECT_THAT(made.output, HasSubstr("00003.png"));
