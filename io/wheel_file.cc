@@ -91,6 +91,10 @@ void WriteAxis(Writer& out, hid_t file, const WheelReference& wheel) {
               Flat(wheel.cov_axis_random));
   out.Doubles("/wheel/axis_covariance_calibration", "1", "covariance from the calibration" + order,
               {4, 4}, Flat(wheel.cov_axis_calibration));
+  out.Doubles("/wheel/axis_along_modes", "1",
+              "what one sigma of each calibration mode adds" + order,
+              {static_cast<hsize_t>(wheel.axis_along_modes.rows()), 4},
+              Flat(wheel.axis_along_modes), {"/rig/mode"});
 }
 
 void WriteFrames(Writer& out, hid_t file, const WheelReference& wheel) {
@@ -126,6 +130,9 @@ void WriteFrames(Writer& out, hid_t file, const WheelReference& wheel) {
                           {axis});
   out.Doubles("/frames/angle_covariance_random", "rad2", "of all angles together, from noise",
               {n, n}, Flat(wheel.cov_angles_random_rad2), {axis, axis});
+  out.Doubles("/frames/angle_along_modes", "rad", "what one sigma of each calibration mode adds",
+              {static_cast<hsize_t>(wheel.angles_along_modes_rad.rows()), n},
+              Flat(wheel.angles_along_modes_rad), {"/rig/mode", axis});
   const Id type = hdf5::EnumType(kWheelFrameStatusNames);
   const Id dataset = hdf5::CreateDataset(
       file, {"/frames/status", "1", "what became of the frame", {n}, {}}, type.get());
@@ -242,10 +249,10 @@ std::vector<double> ReadDoubles(hid_t file, const std::string& path, const Shape
 
 double ReadNumber(hid_t file, const std::string& path) { return ReadDoubles(file, path, {})[0]; }
 
-Eigen::MatrixXd ReadMatrix(hid_t file, const std::string& path, hsize_t n) {
-  const std::vector<double> values = ReadDoubles(file, path, {n, n});
-  return Eigen::Map<const RowMajor<double>>(values.data(), static_cast<Eigen::Index>(n),
-                                            static_cast<Eigen::Index>(n));
+Eigen::MatrixXd ReadMatrix(hid_t file, const std::string& path, hsize_t rows, hsize_t columns) {
+  const std::vector<double> values = ReadDoubles(file, path, {rows, columns});
+  return Eigen::Map<const RowMajor<double>>(values.data(), static_cast<Eigen::Index>(rows),
+                                            static_cast<Eigen::Index>(columns));
 }
 
 void ReadAxis(hid_t file, WheelReference& wheel) {
@@ -255,7 +262,7 @@ void ReadAxis(hid_t file, WheelReference& wheel) {
   wheel.sigma0 = hdf5::GetNumber(group.get(), "sigma0", 0);
   wheel.observations = static_cast<std::int64_t>(hdf5::GetNumber(group.get(), "observations", 0));
   wheel.outliers = static_cast<std::int64_t>(hdf5::GetNumber(group.get(), "outliers", 0));
-  wheel.axis.rotation = ReadMatrix(file, "/wheel/rotation", 3);
+  wheel.axis.rotation = ReadMatrix(file, "/wheel/rotation", 3, 3);
   wheel.axis.distance_mm = ReadNumber(file, "/wheel/distance");
   const Eigen::Matrix3d& R = wheel.axis.rotation;
   const double skew = (R * R.transpose() - Eigen::Matrix3d::Identity()).cwiseAbs().maxCoeff();
@@ -263,8 +270,10 @@ void ReadAxis(hid_t file, WheelReference& wheel) {
   if (!(skew < 1e-6 && R.determinant() > 0 && wheel.axis.distance_mm > 0)) {
     throw hdf5::Error("/wheel/rotation and /wheel/distance are no axis");
   }
-  wheel.cov_axis_random = ReadMatrix(file, "/wheel/axis_covariance_random", 4);
-  wheel.cov_axis_calibration = ReadMatrix(file, "/wheel/axis_covariance_calibration", 4);
+  wheel.cov_axis_random = ReadMatrix(file, "/wheel/axis_covariance_random", 4, 4);
+  wheel.cov_axis_calibration = ReadMatrix(file, "/wheel/axis_covariance_calibration", 4, 4);
+  wheel.axis_along_modes =
+      ReadMatrix(file, "/wheel/axis_along_modes", static_cast<hsize_t>(wheel.rig.modes.count()), 4);
 }
 
 void ReadFrames(hid_t file, WheelReference& wheel) {
@@ -291,7 +300,11 @@ void ReadFrames(hid_t file, WheelReference& wheel) {
                             static_cast<WheelFrameStatus>(status[f]), angle[f], random[f],
                             calibration[f], static_cast<int>(matches[f])});
   }
-  wheel.cov_angles_random_rad2 = ReadMatrix(file, "/frames/angle_covariance_random", angle.size());
+  wheel.cov_angles_random_rad2 =
+      ReadMatrix(file, "/frames/angle_covariance_random", angle.size(), angle.size());
+  wheel.angles_along_modes_rad =
+      ReadMatrix(file, "/frames/angle_along_modes", static_cast<hsize_t>(wheel.rig.modes.count()),
+                 angle.size());
 }
 
 void ReadProfile(hid_t file, WheelProfile& profile) {
@@ -443,6 +456,8 @@ WheelReference ReadWheelFile(const fs::path& path) {
                          .axis = {},
                          .frames = {},
                          .cov_angles_random_rad2 = {},
+                         .axis_along_modes = {},
+                         .angles_along_modes_rad = {},
                          .profile = {},
                          .views = {}};
     ReadAxis(file.get(), wheel);

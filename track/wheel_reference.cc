@@ -143,6 +143,8 @@ WheelReference MakeWheelReference(const StereoRig& rig, const WheelTracks& track
                        .axis = adjusted.axis,
                        .frames = {},
                        .cov_angles_random_rad2 = {},
+                       .axis_along_modes = {},
+                       .angles_along_modes_rad = {},
                        .profile = {},
                        .views = {}};
   wheel.cov_axis_random = adjusted.cov_random.topLeftCorner<kAxis, kAxis>();
@@ -150,9 +152,10 @@ WheelReference MakeWheelReference(const StereoRig& rig, const WheelTracks& track
   wheel.cov_angles_random_rad2 = adjusted.cov_random.bottomRightCorner(n, n);
   const int modes = rig.modes.count();
   wheel.cov_axis_calibration.setConstant(kNone);
+  wheel.axis_along_modes = adjusted.along_modes.leftCols<kAxis>();
+  wheel.angles_along_modes_rad = adjusted.along_modes.rightCols(n);
   if (modes > 0) {
-    const Eigen::MatrixXd along = adjusted.along_modes.leftCols<kAxis>();
-    wheel.cov_axis_calibration = along.transpose() * along;
+    wheel.cov_axis_calibration = wheel.axis_along_modes.transpose() * wheel.axis_along_modes;
   }
   for (Eigen::Index f = 0; f < n; ++f) {
     WheelFrame frame;

@@ -3,6 +3,7 @@
 #include "apps/internal/command.h"
 #include "apps/internal/result_file.h"
 #include "io/inspect.h"
+#include "io/wheel_file.h"
 
 namespace plumbline::internal {
 namespace {
@@ -24,7 +25,8 @@ class ValidateCommand : public Command {
 
   CommandReport Run(const CommonOptions&, const std::string&) override {
     // What cannot be opened at all is refused in words; damage further in is listed.
-    const std::string_view what = WhatIs(OpenResultFile(file_));
+    const std::string_view what =
+        IsWheelFile(file_) ? "the reference of a wheel" : WhatIs(OpenResultFile(file_));
     const std::vector<std::string> faults = Validate(file_);
     CommandReport report;
     report.json = {{"file", file_}, {"valid", faults.empty()}, {"faults", faults}};

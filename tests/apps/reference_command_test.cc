@@ -83,7 +83,9 @@ TEST_F(ReferenceCommand, WritesTheWheel) {
   EXPECT_EQ(told.exit_code, 0);
   EXPECT_THAT(told.output, HasSubstr("the reference of a wheel"));
   EXPECT_THAT(told.output, HasSubstr("no full turn"));
-  EXPECT_EQ(RunPlumbline("validate " + Path("wheel.h5")).exit_code, 0);
+  const CommandResult checked = RunPlumbline("validate " + Path("wheel.h5"));
+  EXPECT_EQ(checked.exit_code, 0);
+  EXPECT_THAT(checked.output, HasSubstr("is whole: the reference of a wheel"));
   const CommandResult again = RunPlumbline(Arguments("-q"));
   EXPECT_EQ(again.exit_code, 3);
   EXPECT_THAT(again.output, HasSubstr("--overwrite"));

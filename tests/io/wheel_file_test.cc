@@ -26,6 +26,8 @@ WheelReference Wheel(int bits) {
                        .axis = WheelAxis::Through({20, 3, -224}, {0.03, -1, 0.02}),
                        .frames = {},
                        .cov_angles_random_rad2 = {},
+                       .axis_along_modes = {},
+                       .angles_along_modes_rad = {},
                        .profile = {},
                        .views = {}};
   wheel.cov_axis_random = 1e-6 * Eigen::Matrix4d::Identity();
@@ -40,6 +42,9 @@ WheelReference Wheel(int bits) {
                   {9, 0.3, WheelFrameStatus::kPlaced, 0.5, 1e-5, 2e-5, 41}};
   wheel.cov_angles_random_rad2 = Eigen::Matrix3d::Zero();
   wheel.cov_angles_random_rad2(2, 2) = 1e-10;
+  const int modes = wheel.rig.modes.count();
+  wheel.axis_along_modes = Eigen::MatrixXd::Random(modes, 4);
+  wheel.angles_along_modes_rad = Eigen::MatrixXd::Random(modes, 3);
   wheel.profile.y_mm = {-5, 0, 5};
   wheel.profile.radius_mm = {383.9, 384, 383.9};
   wheel.profile.sigma_random_mm = {1e-3, 1e-3, 2e-3};
@@ -83,6 +88,8 @@ TEST(WheelFile, ReadsBackTheSameBits) {
     EXPECT_EQ(back.cov_axis_random, wheel.cov_axis_random);
     EXPECT_EQ(back.cov_axis_calibration, wheel.cov_axis_calibration);
     EXPECT_EQ(back.cov_angles_random_rad2, wheel.cov_angles_random_rad2);
+    EXPECT_EQ(back.axis_along_modes, wheel.axis_along_modes);
+    EXPECT_EQ(back.angles_along_modes_rad, wheel.angles_along_modes_rad);
     EXPECT_TRUE(back.closed);
     EXPECT_EQ(back.misclosure_rad, wheel.misclosure_rad);
     EXPECT_EQ(back.sigma0, wheel.sigma0);

@@ -3,6 +3,7 @@
 #include <gtest/gtest.h>
 #include <tbb/global_control.h>
 
+#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
@@ -76,6 +77,20 @@ TEST(WheelTracks, CloseAfterAFullTurn) {
     EXPECT_NEAR(found.angles_rad[static_cast<std::size_t>(f)], wheel.Angle(f), 0.002 * kDegree)
         << f;
   }
+  // All of them together: the sigmas are those of the images' noise.
+  Eigen::VectorXd error(wheel.frames());
+  Eigen::MatrixXd cov = found.cov_random.bottomRightCorner(wheel.frames(), wheel.frames());
+  for (int f = 0; f < wheel.frames(); ++f) {
+    error[f] = found.angles_rad[static_cast<std::size_t>(f)] - wheel.Angle(f);
+  }
+  for (const int f : {0, 5}) {  // held, not placed
+    error[f] = 0;
+    cov.row(f).setZero();
+    cov.col(f).setZero();
+    cov(f, f) = 1;
+  }
+  const double n = wheel.frames() - 2;
+  EXPECT_NEAR(error.dot(cov.ldlt().solve(error)) / n, 1, 4 * std::sqrt(2 / n));
 }
 
 TEST(WheelChain, RefusesWhatDoesNotTurnOrShowsNothing) {
