@@ -62,14 +62,6 @@ CorrelationImage::CorrelationImage(const GrayImage& image, const CorrelationImag
   grey_ = Filtered() ? FilterSeparably(raw, filter, filter) : std::move(raw);
   Image<float> coefficients = grey_;
   SamplesToCoefficients(degree(), coefficients);
-  const std::vector<float> value = TapsAtPixel(degree(), SplineWeights);
-  const std::vector<float> slope = TapsAtPixel(degree(), SplineSlopeWeights);
-  gradient_x_ = FilterSeparably(coefficients, slope, value);
-  gradient_y_ = FilterSeparably(coefficients, value, slope);
-  if (Filtered()) {
-    noise_x_ = FilterSeparably(gradient_x_, filter, filter);
-    noise_y_ = FilterSeparably(gradient_y_, filter, filter);
-  }
   stride_ = width + 2 * kMargin;
   coefficients_.resize(static_cast<std::size_t>(stride_) *
                        static_cast<std::size_t>(height + 2 * kMargin));
@@ -85,6 +77,25 @@ CorrelationImage::CorrelationImage(const GrayImage& image, const CorrelationImag
   for (int i = 0; i <= kFractions; ++i) {
     noise_energy_.push_back(NoiseEnergy(degree(), filter, static_cast<double>(i) / kFractions));
   }
+}
+
+const CorrelationImage::Gradients& CorrelationImage::Slopes() const {
+  Gradients& gradients = *gradients_;
+  std::call_once(gradients.once, [&] {
+    Image<float> plain(size());
+    for (int y = 0; y < plain.height(); ++y) {
+      std::copy_n(coefficients() + y * stride_, plain.width(), plain.row(y));
+    }
+    const std::vector<float> value = TapsAtPixel(degree(), SplineWeights);
+    const std::vector<float> slope = TapsAtPixel(degree(), SplineSlopeWeights);
+    gradients.x = FilterSeparably(plain, slope, value);
+    gradients.y = FilterSeparably(plain, value, slope);
+    if (!Filtered()) return;
+    const std::vector<float> filter = TapsOf(options_);
+    gradients.noise_x = FilterSeparably(gradients.x, filter, filter);
+    gradients.noise_y = FilterSeparably(gradients.y, filter, filter);
+  });
+  return gradients;
 }
 
 // Where the error of subsets at the border, of rendered images, is down to that of all others.

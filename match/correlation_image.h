@@ -2,6 +2,8 @@
 
 #include <Eigen/Core>
 #include <cstdint>
+#include <memory>
+#include <mutex>
 #include <vector>
 
 #include "calib/image.h"
@@ -33,7 +35,8 @@ struct CorrelationImageOptions {
 };
 
 // An image made ready for correlation: filtered grey levels, their gradients, and the coefficients
-// of the interpolating spline. About 28 bytes a pixel. Immutable and thread-safe.
+// of the interpolating spline. About 8 bytes a pixel, and 16 more once the gradients are asked for:
+// only reference images need them. Immutable and thread-safe.
 //
 // Source of the spline: Unser, "Splines: a perfect fit for signal and image processing", IEEE
 // Signal Processing Magazine 16(6), 1999. Borders are mirrored.
@@ -48,12 +51,16 @@ class CorrelationImage {
 
   // At the pixels: the filtered grey levels and the exact derivatives of their spline.
   const Image<float>& grey() const { return grey_; }
-  const Image<float>& gradient_x() const { return gradient_x_; }
-  const Image<float>& gradient_y() const { return gradient_y_; }
+  const Image<float>& gradient_x() const { return Slopes().x; }
+  const Image<float>& gradient_y() const { return Slopes().y; }
   // The gradients filtered once more: the weights with which the noise of the raw pixels enters
   // sums of gradient times filtered grey level. The gradients themselves where there is no filter.
-  const Image<float>& noise_gradient_x() const { return Filtered() ? noise_x_ : gradient_x_; }
-  const Image<float>& noise_gradient_y() const { return Filtered() ? noise_y_ : gradient_y_; }
+  const Image<float>& noise_gradient_x() const {
+    return Filtered() ? Slopes().noise_x : Slopes().x;
+  }
+  const Image<float>& noise_gradient_y() const {
+    return Filtered() ? Slopes().noise_y : Slopes().y;
+  }
 
   // How many pixels at the border, or beside what a mask leaves out, are not to be used: the filter
   // and the spline mix in what lies beyond, which moves otherwise.
@@ -78,11 +85,17 @@ class CorrelationImage {
   int degree() const { return static_cast<int>(options_.interpolation); }
 
  private:
+  struct Gradients {
+    std::once_flag once;
+    Image<float> x, y, noise_x, noise_y;
+  };
   bool Filtered() const { return options_.prefilter != Prefilter::kNone; }
+  const Gradients& Slopes() const;  // worked out at the first call
 
   CorrelationImageOptions options_;
   int max_level_ = 255;
-  Image<float> grey_, gradient_x_, gradient_y_, noise_x_, noise_y_;
+  Image<float> grey_;
+  std::unique_ptr<Gradients> gradients_ = std::make_unique<Gradients>();
   std::ptrdiff_t stride_ = 0;
   std::vector<float> coefficients_;
   std::vector<double> noise_energy_;  // along one axis, by fraction of a pixel, 0 to 1

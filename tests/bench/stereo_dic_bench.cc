@@ -26,7 +26,7 @@ using Clock = std::chrono::steady_clock;
 using testing::SpeckledSheet;
 
 constexpr ImageSize kSize{1280, 1024};
-constexpr int kPairs = 9;  // rendered; run through to and fro
+constexpr int kPairs = 17;  // rendered; run through to and fro
 constexpr double kNoiseGrey = 1.5;
 constexpr double kStretchAFrame = 0.002;
 
