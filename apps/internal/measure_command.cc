@@ -11,10 +11,9 @@
 
 #include "apps/internal/channel_options.h"
 #include "apps/internal/command.h"
-#include "apps/internal/foreign_rig_options.h"
-#include "apps/internal/frame_options.h"
 #include "apps/internal/measure_flow.h"
 #include "apps/internal/measure_report.h"
+#include "apps/internal/recording_options.h"
 #include "apps/internal/result_file.h"
 #include "apps/internal/stereo_options.h"
 #include "apps/interrupt.h"
@@ -127,10 +126,9 @@ class MeasureCommand : public Command {
   std::optional<CommandReport> FinishedBefore(const fs::path& output,
                                               const std::string& recipe_toml) const;
 
-  std::string rig_, left_, right_, output_ = "run.h5";
-  ForeignRigOptionSet foreign_rig_;
+  RecordingOptionSet recording_;
+  std::string output_ = "run.h5";
   std::string matcher_ = "sgbm", roi_, mask_, rectification_ = "auto", shard_;
-  FrameOptionSet frames_;
   ChannelOptionSet channels_;
   std::optional<int> step_px_, reference_frame_;
   bool overwrite_ = false, resume_ = false;
@@ -140,22 +138,7 @@ class MeasureCommand : public Command {
 };
 
 void MeasureCommand::Declare(OptionTable& options) {
-  options.Add(
-      {.name = "rig",
-       .help = "the calibrated rig: rig.h5, left.cameramodel,right.cameramodel, or a stereo "
-               "calibration of OpenCV, DICe, VIC-3D or MatchID",
-       .unit = "FILE",
-       .required = true},
-      &rig_);
-  options.Add(
-      {.name = "left",
-       .help = "images of the left camera: a pattern in quotes, a folder, an image or a video",
-       .unit = "FILES",
-       .required = true},
-      &left_);
-  options.Add(
-      {.name = "right", .help = "those of the right camera", .unit = "FILES", .required = true},
-      &right_);
+  recording_.Declare(options);
   options.Add(
       {.name = "output", .help = "where the result goes", .unit = "FILE", .short_name = "o"},
       &output_);
@@ -192,11 +175,11 @@ void MeasureCommand::Declare(OptionTable& options) {
   DeclareSgbm(options);
   evaluation_.DeclareGround(options);
   evaluation_.Declare(options);
-  foreign_rig_.Declare(options);
+  recording_.DeclareForeign(options);
 }
 
 void MeasureCommand::DeclareRun(OptionTable& options) {
-  frames_.Declare(options, "pairs", "frame");
+  recording_.DeclareFrames(options);
   channels_.Declare(options);
   options.Add(
       {.name = "resume",
@@ -294,9 +277,9 @@ Measurement MeasureCommand::Sgbm(const RigInput& rig, std::uint64_t seed) const 
 
 // The pair that displacements count from, and its files where those of the frames may lack them.
 StereoFrame MeasureCommand::ReferencePair(std::vector<fs::path>* files) const {
-  ImageSourceOptions options = frames_.Options();
+  ImageSourceOptions options = recording_.frames().Options();
   if (reference_frame_) options.frames = fmt::format("{}", *reference_frame_);
-  const auto source = OpenImageSource(left_, right_, options);
+  const auto source = recording_.Open(options);
   std::string problem;
   while (std::optional<StereoFrame> pair = source->Next()) {
     if (pair->problem.empty()) {
@@ -369,17 +352,15 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
   if (const auto report = FinishedBefore(output, recipe_toml)) return *report;
   std::optional<SeriesShard> shard;
   if (!shard_.empty()) shard = ParseShard(shard_);
-  const ForeignCalibrationOptions foreign = foreign_rig_.Options();
   if (!dic) SgbmOptions(common.seed);  // before anything is read: what is wrong with them
-  const RigInput rig = OpenRig(rig_, foreign);
-  for (const std::string& note : rig.notes) spdlog::info("Note: {}", note);
+  const RigInput rig = recording_.Rig();
   if (rig.rig.modes.count() == 0) {
     spdlog::info(
         "Note: this calibration does not say how sure it is, so the calibration part of all "
         "uncertainties is unknown (NaN). Calibrate with plumbline calibrate to have it.");
   }
   const std::vector<Channel> channels = channels_.Read();
-  const auto source = OpenImageSource(left_, right_, frames_.Options());
+  const auto source = recording_.Open();
   Measurement measurement = dic ? Dic(rig, common.seed) : Sgbm(rig, common.seed);
   for (const std::string& note : measurement.notes) spdlog::info("Note: {}", note);
 
@@ -392,8 +373,8 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
     if (std::find(header.inputs.begin(), end, file) == end) header.inputs.push_back(file);
   }
   for (const std::string& file : rig.files) header.inputs.emplace_back(file);
-  for (const std::string& file :
-       {mask_, frames_.timestamps(), channels_.file(), dic ? dic_.noise() : std::string()}) {
+  for (const std::string& file : {mask_, recording_.frames().timestamps(), channels_.file(),
+                                  dic ? dic_.noise() : std::string()}) {
     if (!file.empty()) header.inputs.emplace_back(file);
   }
   MeasuredRange range;

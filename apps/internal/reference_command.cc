@@ -7,11 +7,10 @@
 
 #include "apps/internal/command.h"
 #include "apps/internal/field_options.h"
-#include "apps/internal/foreign_rig_options.h"
+#include "apps/internal/recording_options.h"
 #include "apps/internal/result_file.h"
 #include "apps/internal/wheel_report.h"
 #include "apps/interrupt.h"
-#include "apps/rig_input.h"
 #include "apps/wheel_reference_run.h"
 #include "calib/error.h"
 #include "io/noise_file.h"
@@ -44,50 +43,24 @@ class ReferenceCommand : public Command {
 
  private:
   WheelReferenceRunOptions Options(std::uint64_t seed, int bits) const;
-  std::unique_ptr<ImageSource> Open() const;
   int Bits() const;
 
   static constexpr int kSubset_px = 21;
 
-  std::string rig_, left_, right_, output_ = "wheel.h5", frames_, roi_, mask_, timestamps_;
-  std::optional<double> frames_per_second_;
+  RecordingOptionSet recording_;
+  std::string output_ = "wheel.h5", roi_, mask_;
   std::optional<int> step_px_;
   bool overwrite_ = false;
   double spacing_share_ = WheelChainOptions().least_seen_share;
   FieldOptionSet matching_{kSubset_px};
-  ForeignRigOptionSet foreign_rig_;
 };
 
 void ReferenceCommand::Declare(OptionTable& options) {
-  options.Add({.name = "rig",
-               .help = "the calibrated rig, as for measure",
-               .unit = "FILE",
-               .required = true},
-              &rig_);
-  options.Add({.name = "left",
-               .help = "images of the left camera: a pattern in quotes, a folder or a video",
-               .unit = "FILES",
-               .required = true},
-              &left_);
-  options.Add(
-      {.name = "right", .help = "those of the right camera", .unit = "FILES", .required = true},
-      &right_);
+  recording_.Declare(options);
   options.Add({.name = "output", .help = "wheel file to write", .unit = "FILE", .short_name = "o"},
               &output_);
   options.Add({.name = "overwrite", .help = "replace the output file if it is there"}, &overwrite_);
-  options.Add({.name = "frames",
-               .help = "which pairs, as start:stop:step counted from 0; empty: all",
-               .unit = "A:B:C"},
-              &frames_);
-  options.Add({.name = "fps",
-               .help = "frames a second, for images without a clock of their own",
-               .unit = "1/s",
-               .min = 1e-6},
-              &frames_per_second_);
-  options.Add({.name = "timestamps",
-               .help = "a text table with the time of each frame in its last column",
-               .unit = "FILE"},
-              &timestamps_);
+  recording_.DeclareFrames(options);
   options.Add({.name = "roi",
                .help = "region of the left image where the wheel is seen; empty: all of it",
                .unit = "X,Y,W,H px"},
@@ -111,20 +84,12 @@ void ReferenceCommand::Declare(OptionTable& options) {
                .max = 0.95},
               &spacing_share_);
   matching_.Declare(options);
-  foreign_rig_.Declare(options);
-}
-
-std::unique_ptr<ImageSource> ReferenceCommand::Open() const {
-  ImageSourceOptions source;
-  source.frames = frames_;
-  source.frames_per_second = frames_per_second_;
-  source.timestamps_csv = timestamps_;
-  return OpenImageSource(left_, right_, source);
+  recording_.DeclareForeign(options);
 }
 
 // Of the first image that can be read.
 int ReferenceCommand::Bits() const {
-  const auto source = Open();
+  const auto source = recording_.Open();
   while (const auto pair = source->Next()) {
     if (pair->problem.empty()) return pair->left.bits;
   }
@@ -150,8 +115,7 @@ WheelReferenceRunOptions ReferenceCommand::Options(std::uint64_t seed, int bits)
 
 CommandReport ReferenceCommand::Run(const CommonOptions& common, const std::string& recipe_toml) {
   const fs::path output = CheckedOutput(output_, overwrite_);
-  const RigInput rig = OpenRig(rig_, foreign_rig_.Options());
-  for (const std::string& note : rig.notes) spdlog::info("Note: {}", note);
+  const RigInput rig = recording_.Rig();
   const WheelReferenceRunOptions options =
       Options(common.seed, matching_.noise().empty() ? 8 : Bits());
   const InterruptGuard guard;
@@ -160,7 +124,7 @@ CommandReport ReferenceCommand::Run(const CommonOptions& common, const std::stri
   std::vector<std::string> notes;
   std::vector<fs::path> inputs;
   const auto open = [&] {
-    auto source = Open();
+    auto source = recording_.Open();
     inputs = source->Files();
     return source;
   };
@@ -180,7 +144,9 @@ CommandReport ReferenceCommand::Run(const CommonOptions& common, const std::stri
     return {"", {{"interrupted", true}}, 130};
   }
   for (const std::string& file : rig.files) inputs.emplace_back(file);
-  if (!mask_.empty()) inputs.emplace_back(mask_);
+  for (const std::string& file : {mask_, recording_.frames().timestamps(), matching_.noise()}) {
+    if (!file.empty()) inputs.emplace_back(file);
+  }
   WriteWheelFile(output, *run.wheel, recipe_toml, inputs);
   CommandReport report{TextOf(*run.wheel), JsonOf(*run.wheel)};
   report.json["output"] = fs::absolute(output).string();
