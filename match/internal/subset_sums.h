@@ -117,7 +117,7 @@ ReferenceSums SumReference(const PackedSubset& subset, int order);
 ProductSums SumProducts(const PackedSubset& subset, const AlignedFloats& x, const AlignedFloats& y,
                         int order);
 // Every warped offset that counts must lie within the image that the coefficients are of, with a
-// margin of at least 16 values and the taps around it.
+// margin of at least 18 values and the taps around it.
 TargetSums SumTarget(const PackedSubset& subset, const TargetPixels& target, int order);
 
 ReferenceSums SumReferenceScalar(const PackedSubset& subset, int order);
