@@ -452,14 +452,7 @@ WheelReference ReadWheelFile(const fs::path& path) {
     if (hdf5::GetText(file.get(), "format") != kFormat) {
       throw hdf5::Error(fmt::format("its root attribute format is not {}", kFormat));
     }
-    WheelReference wheel{.rig = internal::ReadRigGroup(file.get()),
-                         .axis = {},
-                         .frames = {},
-                         .cov_angles_random_rad2 = {},
-                         .axis_along_modes = {},
-                         .angles_along_modes_rad = {},
-                         .profile = {},
-                         .views = {}};
+    WheelReference wheel{.rig = internal::ReadRigGroup(file.get())};
     ReadAxis(file.get(), wheel);
     ReadFrames(file.get(), wheel);
     ReadProfile(file.get(), wheel.profile);

@@ -139,14 +139,7 @@ double WheelReference::largest_angle_rad() const {
 WheelReference MakeWheelReference(const StereoRig& rig, const WheelTracks& tracks,
                                   const std::vector<WheelFrameMatches>& matches,
                                   const WheelAdjustment& adjusted) {
-  WheelReference wheel{.rig = rig,
-                       .axis = adjusted.axis,
-                       .frames = {},
-                       .cov_angles_random_rad2 = {},
-                       .axis_along_modes = {},
-                       .angles_along_modes_rad = {},
-                       .profile = {},
-                       .views = {}};
+  WheelReference wheel{.rig = rig, .axis = adjusted.axis};
   wheel.cov_axis_random = adjusted.cov_random.topLeftCorner<kAxis, kAxis>();
   const auto n = static_cast<Eigen::Index>(adjusted.angles_rad.size());
   wheel.cov_angles_random_rad2 = adjusted.cov_random.bottomRightCorner(n, n);

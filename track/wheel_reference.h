@@ -54,21 +54,21 @@ struct WheelReferenceView {
 
 struct WheelReference {
   StereoRig rig;
-  WheelAxis axis;
+  WheelAxis axis = {};
   // Rotation about the wheel's x, y, z (rad) and distance (mm): see WheelAdjustment.
   Eigen::Matrix4d cov_axis_random = Eigen::Matrix4d::Zero();
   Eigen::Matrix4d cov_axis_calibration = Eigen::Matrix4d::Zero();
-  std::vector<WheelFrame> frames;
-  Eigen::MatrixXd cov_angles_random_rad2;  // joint, of all frames
+  std::vector<WheelFrame> frames = {};
+  Eigen::MatrixXd cov_angles_random_rad2 = {};  // joint, of all frames
   // What one sigma of each calibration mode adds to the axis (modes, 4) and to the angles (modes,
   // frames): what is measured against the wheel moves with the mode in all of its parts at once.
-  Eigen::MatrixXd axis_along_modes, angles_along_modes_rad;
+  Eigen::MatrixXd axis_along_modes = {}, angles_along_modes_rad = {};
   bool closed = false;        // over a full turn
   double misclosure_rad = 0;  // of the chain, before it was closed
   double sigma0 = 0;          // of the adjustment
   std::int64_t observations = 0, outliers = 0;
-  WheelProfile profile;
-  std::vector<WheelReferenceView> views;  // by angle
+  WheelProfile profile = {};
+  std::vector<WheelReferenceView> views = {};  // by angle
 
   double largest_angle_rad() const;
 };

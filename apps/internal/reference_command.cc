@@ -121,7 +121,6 @@ CommandReport ReferenceCommand::Run(const CommonOptions& common, const std::stri
   const InterruptGuard guard;
   std::unique_ptr<Progress> progress;
   std::string under_way;
-  std::vector<std::string> notes;
   std::vector<fs::path> inputs;
   const auto open = [&] {
     auto source = recording_.Open();
@@ -129,14 +128,14 @@ CommandReport ReferenceCommand::Run(const CommonOptions& common, const std::stri
     return source;
   };
   WheelReferenceRun run = MeasureWheelReference(
-      rig.rig, open, options, [&](const std::string& stage, std::int64_t done, std::int64_t total) {
+      rig.rig, open, options, [&](const std::string& stage, std::int64_t, std::int64_t total) {
         if (stage != under_way) {
           progress = std::make_unique<Progress>(stage, total, common.progress());
           under_way = stage;
         } else {
           progress->Advance();
         }
-        return done < 0 || !InterruptGuard::Requested();
+        return !InterruptGuard::Requested();
       });
   progress.reset();
   if (!run.wheel) {

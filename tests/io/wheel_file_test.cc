@@ -23,13 +23,7 @@ constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 // Two views of a wheel of 384 mm; the second of three frames was not found.
 WheelReference Wheel(int bits) {
   WheelReference wheel{.rig = SmallRig(),
-                       .axis = WheelAxis::Through({20, 3, -224}, {0.03, -1, 0.02}),
-                       .frames = {},
-                       .cov_angles_random_rad2 = {},
-                       .axis_along_modes = {},
-                       .angles_along_modes_rad = {},
-                       .profile = {},
-                       .views = {}};
+                       .axis = WheelAxis::Through({20, 3, -224}, {0.03, -1, 0.02})};
   wheel.cov_axis_random = 1e-6 * Eigen::Matrix4d::Identity();
   wheel.cov_axis_calibration = 1e-4 * Eigen::Matrix4d::Identity();
   wheel.closed = true;
