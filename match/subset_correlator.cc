@@ -25,6 +25,8 @@ using Subset = internal::ReferenceSubsets::Subset;
 constexpr double kWorse = 1e-4;
 // Undamped step, in stop_px, up to which a search that had to be damped has converged.
 constexpr double kNearly = 10;
+// Share of a step left to go beyond which it is not the noise that leaves it.
+constexpr double kMostLeft = 0.1;
 // How far a subset may stray beyond the outermost pixels that are to be used: at the end, so that
 // noise does not decide about subsets at the border of views that do not move; and on the way, so
 // that a start does not.
@@ -220,9 +222,18 @@ SubsetMatch SubsetCorrelator::Impl::Search(const CorrelationImage& deformed,
       return match;
     }
     trial = Compose(match.warp, Inverse(step));
-    if (NormalEquations::MeanSquareShift(step, options.radius_px()) < stop) {
+    // Where noise is all that the fit leaves, a step that leaves less than that to go is the last.
+    const NormalEquations::Fit after = lambda == 0 ? equations.Foreseen(fit) : fit;
+    const double rest = equations.LeftAfterStep(fit);
+    const bool foreseen = lambda == 0 && rest < kMostLeft && after.residual > fit.residual / 2;
+    const double left_to_go = foreseen ? rest : 1;
+    if (left_to_go * left_to_go * NormalEquations::MeanSquareShift(step, options.radius_px()) <
+        stop) {
+      const bool settled = Settled(equations, fit, lambda, stop);
       match.warp = trial;
-      match.status = Settled(equations, fit, lambda, stop) ? Status::kOk : failed();
+      fit = after;
+      match.zncc = fit.zncc;
+      match.status = settled ? Status::kOk : failed();
       if (match.status == Status::kOk && !Aim(deformed, pixel, trial, subset, kBorderPx, target)) {
         match.status = Status::kOutsideImage;
       }

@@ -22,7 +22,7 @@ struct CorrelatorOptions {
   SubsetShape shape = SubsetShape::kSquare;
   int order = 1;              // of the shape function: 0, 1 or 2
   int max_iterations = 20;    // sums over the deformed image
-  double stop_px = 0.001;     // rms shift of the subset's pixels by the last step
+  double stop_px = 0.001;     // rms shift of the subset's pixels that a further step would make
   double min_zncc = 0.6;      // below: low_correlation
   double max_sigma_px = 0.3;  // of the displacement, in its worst direction; above: low_texture
   // Of the subset's pixels, inside of image and mask: below, the point is masked or outside_image.

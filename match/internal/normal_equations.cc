@@ -3,6 +3,7 @@
 #include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
+#include <numbers>
 #include <type_traits>
 
 namespace plumbline::internal {
@@ -10,6 +11,8 @@ namespace {
 
 // Below it nothing of the texture is there: what is left of a blank image is rounding.
 constexpr double kLeastGain = 1e-4;
+
+constexpr double kNoiseInGradient = std::numbers::pi * std::numbers::pi / 3;
 
 constexpr int kPowerX[6] = {0, 1, 0, 2, 1, 0};
 constexpr int kPowerY[6] = {0, 0, 1, 0, 1, 2};
@@ -95,13 +98,13 @@ ShapeMatrix NormalEquations::OfGainAndOffset() const {
 NormalEquations::Fit NormalEquations::Evaluate(const TargetSums& target) const {
   Fit fit;
   const double with_f = target.fg - mean_ * target.g;
-  const double energy = target.gg - target.g * target.g / count_;
+  fit.energy = target.gg - target.g * target.g / count_;
   fit.gain = with_f / energy_;
   fit.mean = target.g / count_;
-  fit.zncc = energy > 0 ? with_f / std::sqrt(energy * energy_) : 0;
+  fit.zncc = fit.energy > 0 ? with_f / std::sqrt(fit.energy * energy_) : 0;
   fit.gradient = Stacked(target.gradient_x, target.gradient_y, terms_) - mean_gradient_ * target.g -
                  slope_ * with_f;
-  fit.residual = std::max(0.0, energy - with_f * fit.gain);
+  fit.residual = std::max(0.0, fit.energy - with_f * fit.gain);
   return fit;
 }
 
@@ -124,6 +127,20 @@ bool NormalEquations::Step(const Fit& fit, double lambda, SubsetWarp& step) cons
     step.c(1, k) = delta[terms_ + k] / gain;
   }
   return true;
+}
+
+double NormalEquations::LeftAfterStep(const Fit& fit) const {
+  const double weakest = 1 / std::pow(std::max(scale_[0], scale_[terms_]), 2);
+  return kNoiseInGradient / 2 * fit.residual / (fit.gain * fit.gain) / weakest;
+}
+
+NormalEquations::Fit NormalEquations::Foreseen(const Fit& fit) const {
+  ShapeVector half = scale_.cwiseProduct(fit.gradient);
+  factor_.triangularView<Eigen::Lower>().solveInPlace(half);
+  Fit after = fit;
+  after.residual = std::max(0.0, fit.residual - half.squaredNorm());
+  if (fit.energy > 0) after.zncc = std::sqrt(1 - std::min(1.0, after.residual / fit.energy));
+  return after;
 }
 
 NormalEquations::Covariance NormalEquations::CovariancePerVariance(const ProductSums* noise) const {

@@ -30,7 +30,8 @@ class NormalEquations {
     double zncc = 0;
     double gain = 0;
     double mean = 0;       // of g
-    double residual = 0;   // sum of squares that the fit leaves, in grey levels of g
+    double energy = 0;     // sum of squares of g - mean
+    double residual = 0;   // what the fit leaves of it
     ShapeVector gradient;  // sum J~ g
   };
   Fit Evaluate(const TargetSums& target) const;
@@ -44,6 +45,16 @@ class NormalEquations {
   // more, or null where there is no filter.
   using Covariance = Eigen::Matrix<double, Eigen::Dynamic, Eigen::Dynamic, 0, 6, 6>;
   Covariance CovariancePerVariance(const ProductSums* noise) const;
+
+  // At most how much of an undamped step is left to go after it, as a share of it: the reference's
+  // noise counts as texture in the information, so that steps are too short by its share of that.
+  // What the fit leaves tells the noise; a derivative lets pass pi^2 / 3 times as much of it at
+  // most (the ideal interpolation's), and half of it is the reference's.
+  double LeftAfterStep(const Fit& fit) const;
+
+  // The fit at the end of an undamped step, as the linear problem foresees it: what has changed is
+  // zncc and residual.
+  Fit Foreseen(const Fit& fit) const;
 
   // Mean square shift of the subset's pixels by a step, for squares of this radius.
   static double MeanSquareShift(const SubsetWarp& step, double radius_px);

@@ -121,6 +121,18 @@ TEST_P(OfOrder, FitIsThatOfGainAndOffsetAlone) {
   EXPECT_NEAR(fit.residual, (g - gain * f).squaredNorm(), 1e-3 * g.squaredNorm());
 }
 
+TEST_P(OfOrder, ForeseesWhatTheStepLeavesOfTheResidual) {
+  const int order = GetParam();
+  const Problem problem(order, Prefilter::kLowPass, {0.4, -0.3});
+  const NormalEquations equations = problem.Equations(order);
+  const auto fit = equations.Evaluate(problem.target), after = equations.Foreseen(fit);
+  const Eigen::MatrixXd A = problem.DesignMatrix();
+  const double left = (problem.g - A * A.colPivHouseholderQr().solve(problem.g)).squaredNorm();
+  EXPECT_NEAR(after.residual, left, 1e-4 * fit.energy);
+  EXPECT_NEAR(after.zncc, std::sqrt(1 - left / fit.energy), 1e-4);
+  EXPECT_LT(after.residual, 0.5 * fit.residual);
+}
+
 TEST_P(OfOrder, DampedStepIsShorterAndOfTheDampedSystem) {
   const int order = GetParam();
   const Problem problem(order, Prefilter::kLowPass, {0.4, -0.3});

@@ -8,6 +8,7 @@
 #include <numbers>
 
 #include "calib/error.h"
+#include "match/internal/normal_equations.h"
 #include "tests/support/rendered_speckle.h"
 
 namespace plumbline {
@@ -86,6 +87,44 @@ TEST(SubsetCorrelator, FindsTranslations) {
       }
     }
   }
+}
+
+// It stops by what it foresees: a search that goes on must find nothing further away.
+TEST(SubsetCorrelator, StopsWhereAFurtherStepWouldBeShort) {
+  const SubsetWarp truth =
+      SubsetWarp::Of({0.35, -0.45}, (Eigen::Matrix2d() << 0.01, -0.02, 0.02, 0.005).finished());
+  const Eigen::Matrix2d slant = (Eigen::Matrix2d() << 4e-4, -2e-4, 3e-4, 1e-4).finished();
+  for (const double noise : {0.0, 1.5, 6.0}) {
+    const GrayImage reference = Reference(noise, kFine), deformed = Deformed(truth, noise, kFine);
+    for (const double off : {0.005, 0.02, 0.05, 0.15}) {
+      SubsetWarp start = truth;
+      start.c.col(0) += Eigen::Vector2d(off, -0.7 * off);
+      start.c.block<2, 2>(0, 1) += slant * off / 0.02;
+      CorrelatorOptions options = Options(31, 1);
+      const SubsetMatch match = MatchAtCentre(reference, deformed, options, start);
+      options.stop_px = 1e-6;
+      const SubsetMatch end = MatchAtCentre(reference, deformed, options, start);
+      ASSERT_EQ(match.status, Status::kOk);
+      ASSERT_EQ(end.status, Status::kOk);
+      SubsetWarp rest;
+      rest.c = match.warp.c - end.warp.c;
+      const double left =
+          std::sqrt(internal::NormalEquations::MeanSquareShift(rest, options.radius_px()));
+      EXPECT_LT(left, 1.1e-3) << noise << " " << off;
+      EXPECT_LE(match.iterations, end.iterations);
+      EXPECT_NEAR(match.noise_grey, end.noise_grey, 0.01 * end.noise_grey);
+      EXPECT_NEAR(match.zncc, end.zncc, 1e-5);
+      EXPECT_NEAR(match.cov_displacement_px2(0, 0), end.cov_displacement_px2(0, 0),
+                  0.02 * end.cov_displacement_px2(0, 0));
+    }
+  }
+}
+
+TEST(SubsetCorrelator, TakesOneLookFromACloseStart) {
+  const GrayImage reference = Reference(1.5), deformed = Deformed(SubsetWarp::Of({0.3, 0.2}), 1.5);
+  EXPECT_EQ(
+      MatchAtCentre(reference, deformed, Options(31, 1), SubsetWarp::Of({0.31, 0.19})).iterations,
+      1);
 }
 
 TEST(SubsetCorrelator, FindsAffineWarps) {
