@@ -18,6 +18,7 @@
 #include "apps/internal/surface_records.h"
 #include "calib/error.h"
 #include "calib/mode_triangulation.h"
+#include "calib/parallel.h"
 #include "calib/triangulate.h"
 #include "track/surface_motion.h"
 #include "track/surface_plane.h"
@@ -263,17 +264,21 @@ std::optional<GroundPlane> SurfaceEvaluation::Impl::PlaneOf(
   record = internal::GroundRecordOf(
       *found, GroundFromRig(*found, Eigen::Vector3d::Zero(), found->centroid));
   if (in_rig.along_modes_mm.empty()) return found;
-  record.cov_calibration.setZero();
-  for (const Image<Eigen::Vector3f>& mode : in_rig.along_modes_mm) {
+  const std::vector<Image<Eigen::Vector3f>>& modes_mm = in_rig.along_modes_mm;
+  std::vector<GroundPlane> there(modes_mm.size());
+  ForEachIndex(modes_mm.size(), [&](std::size_t k) {
     std::vector<Eigen::Vector3d> moved(points.places.size());
     for (std::size_t n = 0; n < moved.size(); ++n) {
-      moved[n] = points.point_mm[n] + mode.data()[points.places[n]].cast<double>();
+      moved[n] = points.point_mm[n] + modes_mm[k].data()[points.places[n]].cast<double>();
     }
-    const GroundPlane there = RefitPlane(moved, points.cov_mm2, found->inlier);
-    const Eigen::Vector3d difference = PlaneDifference(*found, there);
+    there[k] = RefitPlane(moved, points.cov_mm2, found->inlier);
+  });
+  record.cov_calibration.setZero();
+  for (const GroundPlane& along : there) {
+    const Eigen::Vector3d difference = PlaneDifference(*found, along);
     record.cov_calibration += difference * difference.transpose();
-    if (along_modes != nullptr) along_modes->push_back(there);
   }
+  if (along_modes != nullptr) *along_modes = std::move(there);
   return found;
 }
 
