@@ -1,21 +1,17 @@
 #include "io/export.h"
 
-#include <fmt/format.h>
-
 #include <array>
 #include <bit>
-#include <cerrno>
 #include <cmath>
-#include <fstream>
-#include <limits>
-#include <string>
+#include <ostream>
 
-#include "io/internal/durable_file.h"
+#include "io/internal/table_file.h"
 
 namespace plumbline {
 namespace {
 
 namespace fs = std::filesystem;
+using internal::Cell;
 static_assert(std::endian::native == std::endian::little, "PLY is written as it lies in memory");
 
 using PointValues = std::array<float, 11>;
@@ -46,29 +42,12 @@ void ForEachPoint(const Image<Status>& status, const Use& use, bool all = false)
   }
 }
 
-// Digits: as many as tell two values apart.
-template <typename Scalar>
-std::string Cell(Scalar value) {
-  constexpr int digits = std::numeric_limits<Scalar>::max_digits10;
-  return std::isnan(value) ? ",nan" : fmt::format(",{:.{}g}", value, digits);  // never -nan
-}
-
-template <typename Write>
-void WriteStream(const fs::path& file, const Write& write) {
-  internal::WriteDurably(file, [&](const fs::path& temporary) {
-    std::ofstream out(temporary, std::ios::binary);
-    if (out) write(out);
-    out.close();
-    if (!out) internal::ThrowSystemError("cannot write", file, errno);
-  });
-}
-
 }  // namespace
 
 void ExportPly(const fs::path& file, const SeriesFrame& frame) {
   std::size_t count = 0;
   ForEachPoint(frame.surface.status, [&](int, int) { ++count; });
-  WriteStream(file, [&](std::ofstream& out) {
+  internal::WriteTableFile(file, [&](std::ostream& out) {
     out << "ply\nformat binary_little_endian 1.0\ncomment plumbline: lengths in mm, sigmas are one "
            "standard deviation\n"
         << "element vertex " << count << '\n';
@@ -90,7 +69,7 @@ void ExportCsv(const fs::path& file, const SeriesFrame& frame, CsvPoints points)
   const DisplacementField& moved = frame.displacement;
   const StrainField& strain = frame.strain;
   const bool has_displacement = !moved.value_mm.empty(), has_strain = !strain.value.empty();
-  WriteStream(file, [&](std::ofstream& out) {
+  internal::WriteTableFile(file, [&](std::ostream& out) {
     out << "row,col,x_mm,y_mm,z_mm,sigma_random_x_mm,sigma_random_y_mm,sigma_random_z_mm,"
            "sigma_calibration_x_mm,sigma_calibration_y_mm,sigma_calibration_z_mm,correlation,"
            "epipolar_px"
@@ -133,7 +112,7 @@ void ExportCsv(const fs::path& file, const PlanarSeriesFrame& frame, CsvPoints p
   const PlanarField& field = frame.field;
   const PlanarStrainRecord& strain = frame.strain;
   const bool has_strain = !strain.status.empty();
-  WriteStream(file, [&](std::ofstream& out) {
+  internal::WriteTableFile(file, [&](std::ostream& out) {
     out << "row,col,x_px,y_px,u_px,v_px,sigma_u_px,sigma_v_px,zncc"
         << (has_strain ? ",strain_xx,strain_yy,strain_xy,sigma_strain_xx,sigma_strain_yy,"
                          "sigma_strain_xy,strain_status"

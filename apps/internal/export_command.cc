@@ -8,6 +8,7 @@
 #include "apps/internal/result_file.h"
 #include "calib/error.h"
 #include "io/export.h"
+#include "io/frame_table.h"
 
 namespace plumbline::internal {
 namespace {
@@ -28,11 +29,13 @@ class ExportCommand : public Command {
  public:
   std::string Name() const override { return "export"; }
   std::string Summary() const override {
-    return "Write the points of a run for other programs (PLY, CSV).";
+    return "Write the points of a run, or a table of its frames, for other programs (PLY, CSV).";
   }
   std::string Footer() const override {
     return "Example:\n  plumbline export run.h5 --format ply -o run.ply   (CloudCompare, MeshLab, "
-           "ParaView)";
+           "ParaView)\n  plumbline export run.h5 --format frames -o frames.csv   (a line a frame: "
+           "plane, "
+           "wheel, patch, slip)";
   }
 
   void Declare(OptionTable& options) override {
@@ -44,8 +47,8 @@ class ExportCommand : public Command {
     options.Add(
         {.name = "format",
          .help = "of the valid points: ply is binary, csv is text; of one camera csv, with all "
-                 "points and their status",
-         .choices = {"ply", "csv"}},
+                 "points and their status. frames: of each frame as a whole, a line of one csv",
+         .choices = {"ply", "csv", "frames"}},
         &format_);
     options.Add({.name = "output",
                  .help = "where the points go; empty: beside the run. Of several frames, each gets "
@@ -60,10 +63,10 @@ class ExportCommand : public Command {
   CommandReport Run(const CommonOptions& common, const std::string&) override {
     const ResultFile result = OpenResultFile(file_);
     if (result.planar) {
-      if (format_ == "ply") {
+      if (format_ != "csv") {
         throw UsageError("'" + file_ +
-                         "' is of one camera: its points have no place in space. Export them with "
-                         "--format csv.");
+                         "' is of one camera: its points have no place in space, and there "
+                         "is no table of its frames. Export them with --format csv.");
       }
       return Export(common, result.planar->frame_count(), [&](std::int64_t i, const fs::path& to) {
         const PlanarSeriesFrame frame = result.planar->Frame(i);
@@ -74,6 +77,7 @@ class ExportCommand : public Command {
     if (!result.series) {
       throw InputError(fmt::format("'{}' is a rig file, which has no points.", file_));
     }
+    if (format_ == "frames") return ExportTable(*result.series);
     return Export(common, result.series->frame_count(), [&](std::int64_t i, const fs::path& to) {
       const SeriesFrame frame = result.series->Frame(i);
       if (frame.problem.empty() && format_ == "ply") ExportPly(to, frame);
@@ -127,6 +131,18 @@ class ExportCommand : public Command {
       report.text += fmt::format("{} frames are marked as bad and have no points.\n", skipped);
     }
     report.json["bad_frames"] = skipped;
+    return report;
+  }
+
+  CommandReport ExportTable(const SeriesReader& series) const {
+    if (frame_) throw UsageError("--frame and --format frames exclude each other.");
+    const fs::path file =
+        output_.empty() ? fs::path(file_).replace_extension(".frames.csv") : fs::path(output_);
+    ExportFrameTable(file, series);
+    CommandReport report;
+    report.json = {{"file", file.string()}, {"frames", series.frame_count()}};
+    report.text =
+        fmt::format("Wrote {} frames, a line each, to {}.\n", series.frame_count(), file.string());
     return report;
   }
 

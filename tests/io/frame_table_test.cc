@@ -1,0 +1,76 @@
+#include "io/frame_table.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <fstream>
+
+#include "tests/io/series_fixture.h"
+#include "tests/support/shared_data.h"
+
+namespace plumbline {
+namespace {
+
+using ::testing::HasSubstr;
+
+TEST(FrameTable, ReadsInPandasFashionWithWhatTheFileHolds) {
+  const auto folder = testing::TestFolder();
+  {
+    SeriesWriter writer(folder / "run.h5", testing::FullHeader());
+    writer.Commit(testing::FullFrame(0));
+    SeriesFrame bad = testing::FullFrame(1);
+    bad = SeriesFrame();
+    bad.index = 11;
+    bad.time_s = 0.05;
+    bad.problem = "it is blurred, and \"dark\"";
+    writer.Commit(bad);
+    writer.Commit(testing::FullFrame(2));
+    writer.Close();
+  }
+  ExportFrameTable(folder / "run.csv", SeriesReader(folder / "run.h5"));
+  const auto read = testing::RunPython(R"py(
+import sys, csv, h5py, numpy as np
+rows = list(csv.DictReader(open(sys.argv[1] + '/run.csv')))
+file = h5py.File(sys.argv[1] + '/run.h5')
+print('\n'.join(rows[0].keys()))
+assert [row['index'] for row in rows] == ['10', '11', '12']
+assert [row['problem'] for row in rows] == ['', 'it is blurred, and "dark"', '']
+assert rows[1]['valid_points'] == '0' and rows[0]['valid_points'] == '28'
+def same(name, data, scale=1):
+    np.testing.assert_allclose([float(row[name]) for row in rows], scale * data, rtol=1e-12)
+degrees = 180 / np.pi
+for name in ('area_mm2', 'length_mm', 'width_mm'):
+    key = name if name in file['patch'] else name.rsplit('_', 1)[0]
+    same('patch_' + name, file['patch/' + key][:])
+    same('sigma_random_patch_' + name, file['patch/' + key + '_errors_random'][:])
+    same('sigma_calibration_patch_' + name, file['patch/' + key + '_errors_calibration'][:])
+same('patch_centroid_y_mm', file['patch/centroid'][:, 1])
+same('wheel_angle_deg', file['wheel/angle_rad'][:], degrees)
+same('sigma_random_wheel_angle_deg', file['wheel/angle_rad_errors_random'][:], degrees)
+same('slip_angle_deg', file['slip/angle_rad'][:], degrees)
+same('sigma_calibration_slip_ratio', file['slip/ratio_errors_calibration'][:])
+same('ground_tilt_y_deg', file['ground/angles_rad'][:, 1], degrees)
+same('translation_z_mm', file['rigid_motion/translation'][:, 2])
+print('same')
+)py",
+                                       folder.string());
+  EXPECT_THAT(read.output, HasSubstr("same")) << read.output;
+}
+
+TEST(FrameTable, LeavesOutWhatTheSeriesDoesNotHold) {
+  const auto folder = testing::TestFolder();
+  SeriesWriter writer(folder / "run.h5", testing::SmallHeader());
+  writer.Commit(testing::SmallFrame(0));
+  writer.Close();
+  ExportFrameTable(folder / "run.csv", SeriesReader(folder / "run.h5"));
+  std::ifstream in(folder / "run.csv");
+  std::string heading, rest;
+  std::getline(in, heading);
+  EXPECT_THAT(heading, HasSubstr("index,time_s,problem,valid_points,ground_tilt_x_deg"));
+  EXPECT_THAT(heading, ::testing::Not(HasSubstr("patch")));
+  EXPECT_TRUE(std::getline(in, rest));
+  EXPECT_FALSE(std::getline(in, rest));
+}
+
+}  // namespace
+}  // namespace plumbline
