@@ -1,0 +1,310 @@
+#include "track/material_velocity.h"
+
+#include <Eigen/Cholesky>
+#include <algorithm>
+#include <cmath>
+#include <limits>
+#include <numbers>
+#include <optional>
+#include <stdexcept>
+
+#include "calib/error.h"
+#include "calib/parallel.h"
+#include "match/planar_field.h"
+#include "track/internal/material_lookup.h"
+
+namespace plumbline {
+namespace {
+
+using Share = MaterialVelocity::Share;
+using internal::MaterialLookup;
+constexpr int kBefore = 0, kNow = 1, kAfter = 2;
+const Eigen::Vector3d kNone = Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
+
+void CheckFrame(const MaterialFrame& frame, const MaterialFrame& now) {
+  frame.points.Check();
+  if (frame.material.size() != now.points.size() || frame.points.size() != now.points.size() ||
+      frame.points.along_modes_mm.size() != now.points.along_modes_mm.size()) {
+    throw std::invalid_argument("VelocityOfMaterial: frames of different grids or modes");
+  }
+  if (frame.contact.empty() != now.contact.empty() ||
+      (!now.contact.empty() && frame.contact.size() != now.points.size())) {
+    throw std::invalid_argument("VelocityOfMaterial: contact is known in some frames only");
+  }
+  if (!frame.points.along_common_mm.empty()) {
+    throw std::invalid_argument("VelocityOfMaterial: errors in common belong to the ground frame");
+  }
+}
+
+void CheckOrder(const MaterialFrame& earlier, const MaterialFrame& later) {
+  if (later.time_s > earlier.time_s) return;
+  throw InputError(
+      "the velocity of a wheel's material needs frames in the order of their times; check the "
+      "timestamps");
+}
+
+// The frames with their points told in the ground frames of their own moments.
+class Triple {
+ public:
+  explicit Triple(const FrameTriple& frames) : frames_{frames.before, frames.now, frames.after} {
+    if (frames.now == nullptr || (frames.before == nullptr && frames.after == nullptr)) {
+      throw std::invalid_argument("VelocityOfMaterial: a frame and a neighbour are needed");
+    }
+    for (int f = 0; f < 3; ++f) {
+      if (at(f) == nullptr) continue;
+      CheckFrame(*at(f), *frames.now);
+      ground_[static_cast<std::size_t>(f)] = InFrame(at(f)->points, at(f)->ground);
+    }
+    if (frames.before != nullptr) CheckOrder(*frames.before, *frames.now);
+    if (frames.after != nullptr) CheckOrder(*frames.now, *frames.after);
+  }
+
+  const MaterialFrame* at(int f) const { return frames_[static_cast<std::size_t>(f)]; }
+  const SurfacePoints& ground(int f) const { return ground_[static_cast<std::size_t>(f)]; }
+
+ private:
+  std::array<const MaterialFrame*, 3> frames_;
+  std::array<SurfacePoints, 3> ground_;
+};
+
+template <typename Points>
+Eigen::Vector3d Interpolated(const std::vector<Share>& shares, const Points& points) {
+  Eigen::Vector3d sum = Eigen::Vector3d::Zero();
+  for (const Share& s : shares) sum += s.share * points.data()[s.place].template cast<double>();
+  return sum;
+}
+
+// The errors of three ground frames in a row, each with that of its neighbour in common: six sigmas
+// of the frames (rows) by independent errors of sigma 1 (columns).
+Eigen::Matrix3d FrameMixing(const Triple& triple, double correlation) {
+  Eigen::Matrix3d joint;
+  for (int a = 0; a < 3; ++a) {
+    for (int b = 0; b < 3; ++b) joint(a, b) = std::pow(correlation, std::abs(a - b));
+  }
+  Eigen::Matrix3d mixing = Eigen::LLT<Eigen::Matrix3d>(joint).matrixL();
+  for (int f = 0; f < 3; ++f) {
+    if (triple.at(f) == nullptr) mixing.row(f).setZero();
+  }
+  return mixing;
+}
+
+class Velocities {
+ public:
+  Velocities(const Triple& triple, const MaterialVelocityOptions& options) : triple_(triple) {
+    const ImageSize size = triple.ground(kNow).size();
+    v_.value_mm_s = v_.before_mm_s = v_.after_mm_s = v_.per_s = Image<Eigen::Vector3d>(size, kNone);
+    v_.from = Image<VelocityFrom>(size, VelocityFrom::kNone);
+    for (auto& shares : v_.shares) shares.resize(v_.per_s.pixel_count());
+    for (const int f : {kBefore, kAfter}) {
+      if (triple.at(f) != nullptr) FindMaterial(f, options.reach_mm);
+    }
+    ForEachIndex(v_.per_s.pixel_count(), [&](std::size_t i) { SetVelocity(i); });
+    SetErrors(options.ground_correlation);
+  }
+
+  MaterialVelocity& result() { return v_; }
+
+ private:
+  std::vector<Share>& SharesOf(int f, std::size_t i) {
+    return v_.shares[static_cast<std::size_t>(f)][i];
+  }
+
+  void FindMaterial(int f, double reach_mm) {
+    const MaterialLookup lookup(triple_.at(f)->material, triple_.ground(f).point_mm, reach_mm);
+    const Image<Eigen::Vector3d>& material = triple_.at(kNow)->material;
+    ForEachIndex(material.pixel_count(), [&](std::size_t i) {
+      if (!triple_.ground(kNow).point_mm.data()[i].allFinite()) return;
+      for (const auto& [place, share] : lookup.SharesAt(material.data()[i])) {
+        SharesOf(f, i).push_back({place, share});
+      }
+    });
+  }
+
+  bool Touches(int f, std::size_t i) {
+    double sum = 0;
+    for (const Share& s : SharesOf(f, i)) sum += s.share * triple_.at(f)->contact.data()[s.place];
+    return sum > 0.5;
+  }
+
+  void SetVelocity(std::size_t i) {
+    bool before = !SharesOf(kBefore, i).empty(), after = !SharesOf(kAfter, i).empty();
+    const double now_s = triple_.at(kNow)->time_s;
+    const Eigen::Vector3d now = triple_.ground(kNow).point_mm.data()[i];
+    double since = 0, until = 0;
+    if (before) {
+      since = now_s - triple_.at(kBefore)->time_s;
+      v_.before_mm_s.data()[i] =
+          (now - Interpolated(SharesOf(kBefore, i), triple_.ground(kBefore).point_mm)) / since;
+    }
+    if (after) {
+      until = triple_.at(kAfter)->time_s - now_s;
+      v_.after_mm_s.data()[i] =
+          (Interpolated(SharesOf(kAfter, i), triple_.ground(kAfter).point_mm) - now) / until;
+    }
+    const Image<std::uint8_t>& contact = triple_.at(kNow)->contact;
+    if (before && after && !contact.empty() && contact.data()[i] != 0) {
+      const bool touched = Touches(kBefore, i), will_touch = Touches(kAfter, i);
+      if (touched != will_touch) (touched ? after : before) = false;
+    }
+    if (!before && !after) return;
+    // A parabola's slope is the mean of both lines', each weighted with the other's interval.
+    const double w = before && after ? until / (since + until) : before ? 1 : 0;
+    const double by_before = before ? w / since : 0, by_after = after ? (1 - w) / until : 0;
+    v_.per_s.data()[i] = {-by_before, by_before - by_after, by_after};
+    v_.from.data()[i] = before && after ? VelocityFrom::kBoth
+                        : before        ? VelocityFrom::kBefore
+                                        : VelocityFrom::kAfter;
+    Eigen::Vector3d value = Eigen::Vector3d::Zero();
+    if (before) value += w * v_.before_mm_s.data()[i];
+    if (after) value += (1 - w) * v_.after_mm_s.data()[i];
+    v_.value_mm_s.data()[i] = value;
+    SharesOf(kNow, i) = {{i, 1.0}};
+  }
+
+  // An error of each frame's points, one image a frame.
+  Image<Eigen::Vector3f> Combined(const std::array<const Image<Eigen::Vector3f>*, 3>& errors,
+                                  const Eigen::Vector3d& scale) {
+    Image<Eigen::Vector3f> sum(v_.size(), kNone.cast<float>());
+    ForEachIndex(sum.pixel_count(), [&](std::size_t i) {
+      if (v_.from.data()[i] == VelocityFrom::kNone) return;
+      Eigen::Vector3d total = Eigen::Vector3d::Zero();
+      for (int f = 0; f < 3; ++f) {
+        const double by = v_.per_s.data()[i][f] * scale[f];
+        if (by == 0) continue;
+        total += by * Interpolated(SharesOf(f, i), *errors[static_cast<std::size_t>(f)]);
+      }
+      sum.data()[i] = total.cast<float>();
+    });
+    return sum;
+  }
+
+  void SetErrors(double ground_correlation) {
+    const Eigen::Matrix3d mixing = FrameMixing(triple_, ground_correlation);
+    const Eigen::Matrix<double, 6, 6> root = triple_.at(kNow)->ground.Root();
+    std::array<const Image<Eigen::Vector3f>*, 3> errors{};
+    const auto take = [&](std::vector<Image<Eigen::Vector3f>> SurfacePoints::*of, std::size_t k) {
+      for (int f = 0; f < 3; ++f) {
+        if (triple_.at(f) == nullptr) continue;
+        errors[static_cast<std::size_t>(f)] = &(triple_.ground(f).*of)[k];
+      }
+    };
+    for (int m = 0; m < 3; ++m) {
+      if (mixing.col(m).isZero(0)) continue;
+      for (std::size_t k = 0; k < 6; ++k) {
+        take(&SurfacePoints::along_common_mm, k);
+        v_.along_common_mm_s.push_back(Combined(errors, mixing.col(m)));
+        v_.turn_along_common_rad.emplace_back(mixing(kNow, m) *
+                                              root.col(static_cast<Eigen::Index>(k)).head<3>());
+      }
+    }
+    const UncertainFrame& ground = triple_.at(kNow)->ground;
+    for (std::size_t k = 0; k < triple_.ground(kNow).along_modes_mm.size(); ++k) {
+      take(&SurfacePoints::along_modes_mm, k);
+      v_.along_modes_mm_s.push_back(Combined(errors, Eigen::Vector3d::Ones()));
+      Eigen::Vector3d turn = Eigen::Vector3d::Zero();
+      if (!ground.along_modes.empty()) {
+        turn = (ground.along_modes[k] * ground.frame_from_rig.Inverse()).RotationVector();
+      }
+      v_.turn_along_modes_rad.push_back(turn);
+    }
+  }
+
+  const Triple& triple_;
+  MaterialVelocity v_;
+};
+
+// The covariance of a weighted sum of velocities from the independent noise of the points.
+Eigen::Matrix3d IndependentCovarianceOfSum(const MaterialVelocity& v,
+                                           const std::array<const SurfacePoints*, 3>& in_rig,
+                                           const std::vector<std::pair<std::size_t, double>>& sum,
+                                           const std::array<Eigen::Matrix3d, 3>& turns,
+                                           const NeighbourCorrelation& neighbours) {
+  Eigen::Matrix3d covariance = Eigen::Matrix3d::Zero();
+  for (std::size_t f = 0; f < 3; ++f) {
+    if (in_rig[f] == nullptr) continue;
+    std::vector<std::pair<std::size_t, double>> by_place;
+    for (const auto& [i, weight] : sum) {
+      const double by = weight * v.per_s.data()[i][static_cast<Eigen::Index>(f)];
+      if (by == 0) continue;
+      for (const Share& s : v.shares[f][i]) by_place.emplace_back(s.place, by * s.share);
+    }
+    std::sort(by_place.begin(), by_place.end());
+    std::vector<PointChange> changes;
+    for (const auto& [place, by] : by_place) {
+      if (changes.empty() || changes.back().place != place) {
+        changes.push_back({place, Eigen::Matrix3d::Zero()});
+      }
+      changes.back().change += by * turns[f];
+    }
+    if (!changes.empty()) covariance += IndependentCovariance(changes, *in_rig[f], neighbours);
+  }
+  return covariance;
+}
+
+struct Sources {
+  std::array<const SurfacePoints*, 3> points{};
+  std::array<Eigen::Matrix3d, 3> turns;
+
+  explicit Sources(const FrameTriple& frames) {
+    const std::array<const MaterialFrame*, 3> all = {frames.before, frames.now, frames.after};
+    for (std::size_t f = 0; f < 3; ++f) {
+      turns[f].setIdentity();
+      if (all[f] == nullptr) continue;
+      points[f] = &all[f]->points;
+      turns[f] = all[f]->ground.frame_from_rig.rotation;
+    }
+  }
+};
+
+}  // namespace
+
+void MaterialVelocityOptions::Check() const {
+  if (!(reach_mm >= 0) || !std::isfinite(reach_mm)) {
+    throw UsageError("The reach over which material is looked for has to be 0 mm or more.");
+  }
+  if (!(ground_correlation >= 0 && ground_correlation < 1)) {
+    throw UsageError("The correlation of two ground frames in a row lies in 0 up to below 1.");
+  }
+}
+
+MaterialVelocity VelocityOfMaterial(const FrameTriple& frames,
+                                    const NeighbourCorrelation& neighbours,
+                                    const MaterialVelocityOptions& options) {
+  options.Check();
+  const Triple triple(frames);
+  Velocities velocities(triple, options);
+  MaterialVelocity velocity = std::move(velocities.result());
+  const Sources sources(frames);
+  using Cov = Eigen::Matrix<float, 6, 1>;
+  velocity.cov_random_mm2_s2 =
+      Image<Cov>(velocity.size(), Cov::Constant(std::numeric_limits<float>::quiet_NaN()));
+  ForEachRange(velocity.per_s.pixel_count(), [&](std::size_t begin, std::size_t end) {
+    for (std::size_t i = begin; i < end; ++i) {
+      if (velocity.from.data()[i] == VelocityFrom::kNone) continue;
+      velocity.cov_random_mm2_s2.data()[i] = TriangleOf(IndependentCovarianceOfSum(
+          velocity, sources.points, {{i, 1.0}}, sources.turns, neighbours));
+    }
+  });
+  return velocity;
+}
+
+MeanVelocity MeanOf(const MaterialVelocity& velocity, const FrameTriple& frames,
+                    const Image<double>& weight, const NeighbourCorrelation& neighbours) {
+  MeanVelocity mean;
+  std::vector<std::pair<std::size_t, double>> sum;
+  std::vector<PointChange> changes;
+  for (std::size_t i = 0; i < weight.pixel_count(); ++i) {
+    if (weight.data()[i] == 0) continue;
+    sum.emplace_back(i, weight.data()[i]);
+    changes.push_back({i, weight.data()[i] * Eigen::Matrix3d::Identity()});
+    mean.value_mm_s += weight.data()[i] * velocity.value_mm_s.data()[i];
+  }
+  const Sources sources(frames);
+  mean.cov_independent =
+      IndependentCovarianceOfSum(velocity, sources.points, sum, sources.turns, neighbours);
+  mean.along_common = ChangeAlong(changes, velocity.along_common_mm_s);
+  mean.along_modes = ChangeAlong(changes, velocity.along_modes_mm_s);
+  return mean;
+}
+
+}  // namespace plumbline
