@@ -115,11 +115,9 @@ class Cutter {
         (*across - plane_.normal * across->dot(edge) / plane_.normal.dot(edge)).transpose();
     const std::array<PointChange, 2> changes = {PointChange{point.from, (1 - point.share) * by},
                                                 PointChange{point.to, point.share * by}};
-    point.sigma_random_mm = std::sqrt(IndependentCovariance(changes, surface_, neighbours_)(0, 0) +
-                                      ChangeAlong(changes, surface_.along_common_mm).squaredNorm());
-    if (!surface_.along_modes_mm.empty()) {
-      point.sigma_calibration_mm = ChangeAlong(changes, surface_.along_modes_mm).norm();
-    }
+    const MeasuredScalar across_line = MeasuredSum(changes, 0, surface_, neighbours_);
+    point.sigma_random_mm = across_line.sigma_random;
+    point.sigma_calibration_mm = across_line.sigma_calibration();
   }
 
   const SurfacePoints& surface_;

@@ -120,4 +120,41 @@ Eigen::MatrixXd ChangeAlong(std::span<const PointChange> changes,
   return along;
 }
 
+ErrorSum::ErrorSum(Eigen::Index common, Eigen::Index modes)
+    : common_(Eigen::VectorXd::Zero(common)), modes_(Eigen::VectorXd::Zero(modes)) {}
+
+void ErrorSum::AddPoints(std::span<const PointChange> changes, const SurfacePoints& points,
+                         const NeighbourCorrelation& neighbours) {
+  if (changes.empty()) return;
+  variance_ += IndependentCovariance(changes, points, neighbours)(0, 0);
+  common_ += ChangeAlong(changes, points.along_common_mm).transpose();
+  modes_ += ChangeAlong(changes, points.along_modes_mm).transpose();
+}
+
+void ErrorSum::AddScalar(double by, const MeasuredScalar& scalar) {
+  variance_ += std::pow(by * scalar.sigma_random, 2);
+  if (scalar.along_modes.size() == modes_.size()) {
+    modes_ += by * scalar.along_modes;
+  } else if (scalar.along_modes.size() > 0) {
+    foreign_ = std::hypot(foreign_, by * scalar.sigma_calibration());
+  }
+}
+
+MeasuredScalar ErrorSum::Of(double value) const {
+  Eigen::VectorXd modes = modes_;
+  if (foreign_ > 0) {
+    modes.conservativeResize(modes.size() + 1);
+    modes[modes.size() - 1] = foreign_;
+  }
+  return {value, std::sqrt(variance_ + common_.squaredNorm()), modes};
+}
+
+MeasuredScalar MeasuredSum(std::span<const PointChange> changes, double value,
+                           const SurfacePoints& points, const NeighbourCorrelation& neighbours) {
+  ErrorSum errors(static_cast<Eigen::Index>(points.along_common_mm.size()),
+                  static_cast<Eigen::Index>(points.along_modes_mm.size()));
+  errors.AddPoints(changes, points, neighbours);
+  return errors.Of(value);
+}
+
 }  // namespace plumbline

@@ -76,4 +76,34 @@ struct PointChange {
 [[nodiscard]] Eigen::MatrixXd ChangeAlong(std::span<const PointChange> changes,
                                           const std::vector<Image<Eigen::Vector3f>>& errors_mm);
 
+// The errors of a number, put together from all that it hangs on.
+class ErrorSum {
+ public:
+  // common: number of random errors that several of its parts have in common. modes: likewise of
+  // the calibration; 0: unknown.
+  ErrorSum(Eigen::Index common, Eigen::Index modes);
+
+  // changes: of one row.
+  void AddPoints(std::span<const PointChange> changes, const SurfacePoints& points,
+                 const NeighbourCorrelation& neighbours);
+  void AddIndependent(double variance) { variance_ += variance; }
+  // What one sigma of each does; they add up with what other parts have from the same errors.
+  void AddCommon(const Eigen::RowVectorXd& change) { common_ += change.transpose(); }
+  void AddModes(const Eigen::RowVectorXd& change) { modes_ += change.transpose(); }
+  // Of a number with errors of its own that this one changes by so much. Modes in another number
+  // than here are taken as those of another rig, independent.
+  void AddScalar(double by, const MeasuredScalar& scalar);
+
+  MeasuredScalar Of(double value) const;
+
+ private:
+  double variance_ = 0, foreign_ = 0;
+  Eigen::VectorXd common_, modes_;
+};
+
+// A number that hangs on points alone, with all of its errors. changes: of one row.
+[[nodiscard]] MeasuredScalar MeasuredSum(std::span<const PointChange> changes, double value,
+                                         const SurfacePoints& points,
+                                         const NeighbourCorrelation& neighbours);
+
 }  // namespace plumbline

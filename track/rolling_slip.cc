@@ -116,39 +116,6 @@ Image<double> StickingWeights(const MaterialVelocity& velocity, std::vector<Cand
   return image;
 }
 
-// A number out of the wheel's velocity (ground axes), the axis' direction (ground axes), its
-// angular speed and others that each have errors of their own: the sum of these parts.
-class Errors {
- public:
-  Errors(Eigen::Index common, Eigen::Index modes)
-      : along_common_(Eigen::VectorXd::Zero(common)), along_modes_(Eigen::VectorXd::Zero(modes)) {}
-
-  void AddIndependent(double variance) { variance_ += variance; }
-  void AddCommon(const Eigen::RowVectorXd& change) { along_common_ += change.transpose(); }
-  void AddModes(const Eigen::RowVectorXd& change) { along_modes_ += change.transpose(); }
-  void AddScalar(double by, const MeasuredScalar& scalar) {
-    variance_ += std::pow(by * scalar.sigma_random, 2);
-    if (scalar.along_modes.size() == along_modes_.size()) {
-      along_modes_ += by * scalar.along_modes;
-    } else if (scalar.along_modes.size() > 0) {
-      // Of another rig: one mode of its own.
-      foreign_ = std::hypot(foreign_, by * scalar.sigma_calibration());
-    }
-  }
-  MeasuredScalar Of(double value) const {
-    Eigen::VectorXd along = along_modes_;
-    if (foreign_ > 0) {
-      along.conservativeResize(along.size() + 1);
-      along[along.size() - 1] = foreign_;
-    }
-    return {value, std::sqrt(variance_ + along_common_.squaredNorm()), along};
-  }
-
- private:
-  double variance_ = 0, foreign_ = 0;
-  Eigen::VectorXd along_common_, along_modes_;
-};
-
 class Wheel {
  public:
   // The velocity of sticking material, and the frame that it and the axis are told in.
@@ -167,7 +134,7 @@ class Wheel {
   // Errors of what changes so by the wheel's velocity along its heading and to the left. A turn of
   // the heading to the left by one radian adds sideways() to the former and takes forwards() from
   // the latter.
-  Errors Of(double by_forwards, double by_sideways) const {
+  ErrorSum Of(double by_forwards, double by_sideways) const {
     const Eigen::RowVector3d by_velocity =
         -(by_forwards * heading_ + by_sideways * left_).transpose();
     const double by_heading = by_forwards * sideways() - by_sideways * forwards();
@@ -176,7 +143,7 @@ class Wheel {
     const Eigen::RowVector3d by_axis =
         by_heading * Eigen::RowVector3d(-axis_.y(), axis_.x(), 0) / length2;
     const Eigen::Matrix3d by_turn = -Skew(axis_);  // turn x axis
-    Errors errors(sticking_.along_common.cols(), sticking_.along_modes.cols());
+    ErrorSum errors(sticking_.along_common.cols(), sticking_.along_modes.cols());
     errors.AddIndependent(by_velocity * sticking_.cov_independent * by_velocity.transpose());
     errors.AddCommon(by_velocity * sticking_.along_common +
                      by_axis * by_turn * Columns(velocity_.turn_along_common_rad));
@@ -257,20 +224,20 @@ void SetRatios(const Wheel& wheel, const WheelTurning& turning,
   const double omega = turning.speed_rad_s.value, speed = std::hypot(v, u);
   if (radius) {
     const double ratio = omega * radius->value / v - 1;
-    Errors errors = wheel.Of(-(ratio + 1) / v, 0);
+    ErrorSum errors = wheel.Of(-(ratio + 1) / v, 0);
     errors.AddScalar((ratio + 1) / omega, turning.speed_rad_s);
     errors.AddScalar((ratio + 1) / radius->value, *radius);
     slip.ratio = errors.Of(ratio);
   }
   if (channel) {
-    Errors excess = wheel.Of(-v / speed, -u / speed);
+    ErrorSum excess = wheel.Of(-v / speed, -u / speed);
     excess.AddScalar(1, *channel);
     slip.channel_excess_mm_s = excess.Of(channel->value - speed);
   }
   if (radius && channel) {
     // The channel gives the size of the velocity, the patch its direction: v = channel cos(alpha).
     const double ahead = channel->value * v / speed, ratio = omega * radius->value / ahead - 1;
-    Errors errors =
+    ErrorSum errors =
         wheel.Of(-(ratio + 1) * u * u / (v * speed * speed), (ratio + 1) * u / (speed * speed));
     errors.AddScalar((ratio + 1) / omega, turning.speed_rad_s);
     errors.AddScalar((ratio + 1) / radius->value, *radius);
@@ -354,7 +321,7 @@ RollingSlip MeasureSlip(const MaterialVelocity& velocity, const FrameTriple& fra
   const double sign = options.convention == SlipConvention::kSaeJ670 ? -1 : 1;
   slip.slip_angle_rad =
       over.Of(-sign * u / (speed * speed), sign * v / (speed * speed)).Of(sign * std::atan2(u, v));
-  Errors radius = over.Of(1 / omega, 0);
+  ErrorSum radius = over.Of(1 / omega, 0);
   radius.AddScalar(-v / (omega * omega), wheel.speed_rad_s);
   slip.effective_radius_mm = radius.Of(v / omega);
   SetRatios(over, wheel, free_rolling_radius_mm, channel_mm_s, slip);

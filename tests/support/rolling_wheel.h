@@ -169,4 +169,30 @@ inline void MoveAlongModes(SurfacePoints& points, const Eigen::Vector3d& amount)
   }
 }
 
+// The wheel's axis as it is found along the modes, and what one sigma of each adds to it.
+inline WheelAxis AxisAlongModes(const WheelAxis& axis, const Eigen::Vector3d& amount) {
+  const auto moved = [&](const Eigen::Vector3d& p) {
+    Eigen::Vector3d q = p;
+    for (std::size_t k = 0; k < kFieldModes; ++k) {
+      q += amount[static_cast<Eigen::Index>(k)] * AlongMode(k, p);
+    }
+    return q;
+  };
+  const Eigen::Vector3d a = moved(axis.origin_in_rig_mm() - 100 * axis.direction_in_rig());
+  const Eigen::Vector3d b = moved(axis.origin_in_rig_mm() + 100 * axis.direction_in_rig());
+  return WheelAxis::Through(a, b - a);
+}
+
+inline Eigen::MatrixXd ModesOfAxis(const WheelAxis& axis) {
+  Eigen::MatrixXd along(kFieldModes, 4);
+  for (Eigen::Index k = 0; k < along.rows(); ++k) {
+    const WheelAxis moved = AxisAlongModes(axis, Eigen::Vector3d::Unit(k));
+    along.row(k) << Rigid3{axis.rotation.transpose() * moved.rotation, {0, 0, 0}}
+                        .RotationVector()
+                        .transpose(),
+        moved.distance_mm - axis.distance_mm;
+  }
+  return along;
+}
+
 }  // namespace plumbline::testing

@@ -56,17 +56,7 @@ class Scene {
   double speed() const { return wheel_.Wheel(kFrame).speed_mm_s; }
 
   WheelAxis AxisAlongModes(const Eigen::Vector3d& amount) const {
-    const WheelAxis axis = wheel_.Axis(kFrame);
-    const auto moved = [&](const Eigen::Vector3d& p) {
-      Eigen::Vector3d q = p;
-      for (std::size_t k = 0; k < testing::kFieldModes; ++k) {
-        q += amount[static_cast<Eigen::Index>(k)] * testing::AlongMode(k, p);
-      }
-      return q;
-    };
-    const Eigen::Vector3d a = moved(axis.origin_in_rig_mm() - 100 * axis.direction_in_rig());
-    const Eigen::Vector3d b = moved(axis.origin_in_rig_mm() + 100 * axis.direction_in_rig());
-    return WheelAxis::Through(a, b - a);
+    return testing::AxisAlongModes(wheel_.Axis(kFrame), amount);
   }
 
   Measured Exact() const { return Draw(nullptr); }
@@ -93,18 +83,7 @@ class Scene {
     m.wheel.axis = AxisAlongModes(amount);
     m.wheel.axis.rotation = m.wheel.axis.rotation * RotationFromVector(three(sigmas_.axis_rad));
     m.wheel.cov_axis_random.diagonal().head<3>().setConstant(std::pow(sigmas_.axis_rad, 2));
-    if (sigmas_.calibration) {
-      m.wheel.axis_along_modes = Eigen::MatrixXd::Zero(testing::kFieldModes, 4);
-      const WheelAxis axis = wheel_.Axis(kFrame);
-      for (Eigen::Index k = 0; k < m.wheel.axis_along_modes.rows(); ++k) {
-        const WheelAxis moved = AxisAlongModes(Eigen::Vector3d::Unit(k));
-        m.wheel.axis_along_modes.row(k).head<3>() =
-            Rigid3{axis.rotation.transpose() * moved.rotation, {0, 0, 0}}
-                .RotationVector()
-                .transpose();
-        m.wheel.axis_along_modes(k, 3) = moved.distance_mm - axis.distance_mm;
-      }
-    }
+    if (sigmas_.calibration) m.wheel.axis_along_modes = testing::ModesOfAxis(wheel_.Axis(kFrame));
     const double omega = wheel_.Wheel(kFrame).angular_speed_rad_s;
     m.wheel.speed_rad_s.value = omega * (1 + three(sigmas_.omega).x());
     m.wheel.speed_rad_s.sigma_random = omega * sigmas_.omega;

@@ -1,0 +1,220 @@
+#include "fit/bump.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstdint>
+#include <limits>
+#include <numbers>
+#include <optional>
+#include <stdexcept>
+
+#include "calib/error.h"
+#include "calib/median.h"
+
+namespace plumbline {
+namespace {
+
+constexpr int kRounds = 5;
+constexpr double kSpreads = 2.5 * 1.4826;  // median deviations: 2.5 sigmas
+constexpr double kLeastSpread_mm = 0.02;
+
+class Finder {
+ public:
+  Finder(const SurfacePoints& surface, const Image<double>& thickness_mm,
+         const NeighbourCorrelation& neighbours, const BumpOptions& options)
+      : surface_(surface),
+        neighbours_(neighbours),
+        options_(options),
+        clearance_(surface.size(), std::numeric_limits<double>::quiet_NaN()),
+        seen_(surface.size(), 0) {
+    for (std::size_t i = 0; i < clearance_.pixel_count(); ++i) {
+      clearance_.data()[i] = surface.point_mm.data()[i].z() - thickness_mm.data()[i];
+    }
+  }
+
+  std::vector<Bump> Find() {
+    Image<double> smooth(clearance_.size(), std::numeric_limits<double>::quiet_NaN());
+    std::vector<std::size_t> high;
+    for (std::size_t i = 0; i < smooth.pixel_count(); ++i) {
+      if (!(clearance_.data()[i] > options_.least_height_mm / 2)) continue;
+      smooth.data()[i] = MeanClearance(Near(i, options_.top_radius_mm));
+      if (smooth.data()[i] > options_.least_height_mm) high.push_back(i);
+    }
+    // Ties by place.
+    std::stable_sort(high.begin(), high.end(), [&](std::size_t a, std::size_t b) {
+      return smooth.data()[a] > smooth.data()[b];
+    });
+    std::vector<Bump> bumps;
+    for (const std::size_t i : high) {
+      if (seen_.data()[i] != 0) continue;
+      const std::optional<std::vector<std::size_t>> area = Area(i, smooth.data()[i] / 2);
+      if (!area) continue;
+      const std::optional<Bump> bump = Measure(i, *area);
+      if (bump && bump->height_mm.value >= options_.least_height_mm &&
+          bump->significance >= options_.least_significance) {
+        bumps.push_back(*bump);
+      }
+    }
+    std::stable_sort(bumps.begin(), bumps.end(), [](const Bump& a, const Bump& b) {
+      return a.height_mm.value > b.height_mm.value;
+    });
+    return bumps;
+  }
+
+ private:
+  Eigen::Vector2d At(std::size_t i) const { return surface_.point_mm.data()[i].head<2>(); }
+
+  // Points within a distance in the ground plane, in order, those without a clearance left out.
+  std::vector<std::size_t> Near(std::size_t i, double distance_mm) const {
+    std::vector<std::size_t> near;
+    for (std::size_t k = 0; k < clearance_.pixel_count(); ++k) {
+      if (std::isfinite(clearance_.data()[k]) && (At(k) - At(i)).norm() <= distance_mm) {
+        near.push_back(k);
+      }
+    }
+    return near;
+  }
+
+  double MeanClearance(const std::vector<std::size_t>& places) const {
+    double sum = 0;
+    for (const std::size_t k : places) sum += clearance_.data()[k];
+    return sum / static_cast<double>(places.size());
+  }
+
+  // The points above a level that hang together with a maximum, marked as seen; nothing where they
+  // hang together with what was seen before, with a missing point or with the end of the grid.
+  std::optional<std::vector<std::size_t>> Area(std::size_t top, double level) {
+    const int columns = clearance_.width(), rows = clearance_.height();
+    std::vector<std::size_t> area = {top};
+    Image<std::uint8_t> own(clearance_.size(), 0);
+    own.data()[top] = 1;
+    bool surrounded = true;
+    for (std::size_t k = 0; k < area.size(); ++k) {
+      const int r = static_cast<int>(area[k]) / columns, c = static_cast<int>(area[k]) % columns;
+      if (seen_(r, c) != 0) surrounded = false;
+      seen_(r, c) = 1;
+      for (int dr = -1; dr <= 1; ++dr) {
+        for (int dc = -1; dc <= 1; ++dc) {
+          const int row = r + dr, column = c + dc;
+          if (row < 0 || column < 0 || row >= rows || column >= columns ||
+              std::isnan(clearance_(row, column))) {
+            surrounded = false;
+            continue;
+          }
+          if (own(row, column) != 0 || !(clearance_(row, column) > level)) continue;
+          own(row, column) = 1;
+          area.push_back(static_cast<std::size_t>(row * columns + column));
+        }
+      }
+    }
+    if (!surrounded) return std::nullopt;
+    return area;
+  }
+
+  // The area of the cells around its points.
+  double AreaOf(const std::vector<std::size_t>& area) const {
+    double sum = 0;
+    for (const std::size_t k : area) {
+      const auto columns = static_cast<std::size_t>(clearance_.width());
+      const Eigen::Vector2d along = (At(k + 1) - At(k - 1)) / 2;
+      const Eigen::Vector2d across = (At(k + columns) - At(k - columns)) / 2;
+      sum += std::abs(along.x() * across.y() - along.y() * across.x());
+    }
+    return sum;
+  }
+
+  // Of what rises above a level.
+  Eigen::Vector2d CentreOf(const std::vector<std::size_t>& area, double level) const {
+    Eigen::Vector2d sum = Eigen::Vector2d::Zero();
+    double weights = 0;
+    for (const std::size_t k : area) {
+      const double w = std::max(0.0, clearance_.data()[k] - level);
+      sum += w * At(k);
+      weights += w;
+    }
+    return sum / weights;
+  }
+
+  // The points around an area that touch the ground, those left out that begin to lift off.
+  std::vector<std::size_t> Surroundings(const std::vector<std::size_t>& area) const {
+    std::vector<std::size_t> ring;
+    for (std::size_t k = 0; k < clearance_.pixel_count(); ++k) {
+      if (!(std::abs(clearance_.data()[k]) <= options_.flat_mm)) continue;
+      const bool near = std::any_of(area.begin(), area.end(), [&](std::size_t a) {
+        return (At(k) - At(a)).norm() <= options_.ring_mm;
+      });
+      if (near) ring.push_back(k);
+    }
+    for (int round = 0; round < kRounds && !ring.empty(); ++round) {
+      std::vector<double> values, apart;
+      for (const std::size_t k : ring) values.push_back(clearance_.data()[k]);
+      const double middle = Median(values);
+      for (const double value : values) apart.push_back(std::abs(value - middle));
+      const double most = std::max(kLeastSpread_mm, kSpreads * Median(apart));
+      std::erase_if(ring,
+                    [&](std::size_t k) { return std::abs(clearance_.data()[k] - middle) > most; });
+    }
+    return ring;
+  }
+
+  std::optional<Bump> Measure(std::size_t top, const std::vector<std::size_t>& area) const {
+    const std::vector<std::size_t> peak = Near(top, options_.top_radius_mm);
+    const std::vector<std::size_t> ring = Surroundings(area);
+    if (ring.empty()) return std::nullopt;
+    std::vector<PointChange> changes;
+    const auto add = [&](const std::vector<std::size_t>& places, double sign) {
+      const double by = sign / static_cast<double>(places.size());
+      for (const std::size_t k : places) changes.push_back({k, Eigen::RowVector3d(0, 0, by)});
+    };
+    add(peak, 1);
+    add(ring, -1);
+    std::sort(changes.begin(), changes.end(),
+              [](const PointChange& a, const PointChange& b) { return a.place < b.place; });
+    Bump bump;
+    bump.place = top;
+    bump.at_mm = CentreOf(area, clearance_.data()[top] / 2);
+    bump.height_mm =
+        MeasuredSum(changes, MeanClearance(peak) - MeanClearance(ring), surface_, neighbours_);
+    const double calibration =
+        bump.height_mm.along_modes.size() > 0 ? bump.height_mm.sigma_calibration() : 0;
+    bump.significance = bump.height_mm.value / std::hypot(bump.height_mm.sigma_random, calibration);
+    bump.width_mm = 2 * std::sqrt(AreaOf(area) / std::numbers::pi);
+    bump.surroundings = static_cast<int>(ring.size());
+    return bump;
+  }
+
+  const SurfacePoints& surface_;
+  const NeighbourCorrelation& neighbours_;
+  const BumpOptions& options_;
+  Image<double> clearance_;
+  Image<std::uint8_t> seen_;
+};
+
+}  // namespace
+
+void BumpOptions::Check() const {
+  if (!(least_height_mm > 0) || !(least_significance >= 0)) {
+    throw UsageError("A bump has a least height above 0 mm and a least significance of 0 or more.");
+  }
+  if (!(top_radius_mm >= 0) || !(flat_mm > 0) || !(ring_mm > 0)) {
+    throw UsageError(
+        "The radius of a bump's top is 0 mm or more, its flat surroundings' clearance and reach "
+        "are "
+        "above 0 mm.");
+  }
+  if (!(flat_mm < least_height_mm)) {
+    throw UsageError("Flat surroundings have to lie below the least height of a bump.");
+  }
+}
+
+std::vector<Bump> FindBumps(const SurfacePoints& surface, const Image<double>& thickness_mm,
+                            const NeighbourCorrelation& neighbours, const BumpOptions& options) {
+  options.Check();
+  surface.Check();
+  if (thickness_mm.size() != surface.size()) {
+    throw std::invalid_argument("FindBumps: points and thickness are of different grids");
+  }
+  return Finder(surface, thickness_mm, neighbours, options).Find();
+}
+
+}  // namespace plumbline
