@@ -7,6 +7,7 @@
 #include <numbers>
 
 #include "calib/median.h"
+#include "track/internal/local_fit.h"
 
 namespace plumbline::internal {
 namespace {
@@ -35,22 +36,6 @@ double MedianSpacing(const Image<Eigen::Vector3d>& material) {
     }
   }
   return spacings.empty() ? 0 : Median(std::move(spacings));
-}
-
-// Whether the origin lies inside of the convex hull of points around it: seen from it, no gap
-// between them is half a turn wide.
-bool Surround(const std::vector<Eigen::Vector2d>& points) {
-  std::vector<double> bearings;
-  for (const Eigen::Vector2d& p : points) {
-    if (p.squaredNorm() == 0) return true;
-    bearings.push_back(std::atan2(p.y(), p.x()));
-  }
-  std::sort(bearings.begin(), bearings.end());
-  double widest = bearings.front() + kTurn - bearings.back();
-  for (std::size_t k = 1; k < bearings.size(); ++k) {
-    widest = std::max(widest, bearings[k] - bearings[k - 1]);
-  }
-  return widest < std::numbers::pi;
 }
 
 }  // namespace
@@ -115,7 +100,7 @@ std::vector<std::pair<std::size_t, double>> MaterialLookup::SharesAt(
     places.push_back(i);
     apart.push_back(d);
   }
-  if (places.size() < kFewest || !Surround(apart)) return {};
+  if (places.size() < kFewest || !SurroundOrigin(apart)) return {};
   // Value at the origin of the weighted least-squares plane: e1' (sum w P P')^-1 w P.
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
   std::vector<Eigen::Vector3d> weighted;
