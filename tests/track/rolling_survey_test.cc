@@ -1,0 +1,138 @@
+#include "track/rolling_survey.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "calib/error.h"
+#include "tests/track/lifted_wheel.h"
+
+namespace plumbline {
+namespace {
+
+using testing::ChainOf;
+using ::testing::HasSubstr;
+using testing::kDegrees;
+using testing::LiftedWheel;
+using testing::LiftedWheelOptions;
+
+// The loaded tyre, seen by the rig that made the reference of a part of it.
+class RollingSurveyOfAnArc : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    LiftedWheel lifted(6, 6 * kDegrees);
+    WheelTracks tracks(lifted.rig(), ChainOf(lifted), LiftedWheelOptions());
+    std::vector<WheelFrameMatches> matches;
+    for (int f = 0; f < lifted.frames(); ++f) {
+      matches.push_back(tracks.Add(f, lifted.Pair(f).left, lifted.Pair(f).right));
+    }
+    reference_ = new WheelReference(MakeWheelReference(
+        lifted.rig(), tracks, matches, AdjustWheel(lifted.rig(), tracks.Problem())));
+    rolling_ = new LiftedWheel(Loaded());
+  }
+  static void TearDownTestSuite() {
+    delete reference_;
+    delete rolling_;
+  }
+
+  static Scenario Loaded() {
+    Scenario loaded = LiftedWheel::ScenarioOf(6, 5 * kDegrees);
+    std::get<TyreOptions>(loaded.surface).lifted_mm = 0;
+    loaded.seed = 9;
+    return loaded;
+  }
+  static RollingSurveyOptions Options() {
+    RollingSurveyOptions options;
+    options.matching.field.correlator.subset_px = 17;
+    return options;
+  }
+
+  static WheelReference* reference_;
+  static LiftedWheel* rolling_;
+};
+
+WheelReference* RollingSurveyOfAnArc::reference_ = nullptr;
+LiftedWheel* RollingSurveyOfAnArc::rolling_ = nullptr;
+
+// Mud on the lens, or a hand before it: the left share of both images is grey.
+GrayImage Covered(GrayImage image, double share) {
+  for (int y = 0; y < image.height(); ++y) {
+    for (int x = 0; x < share * image.width(); ++x) image.grey(y, x) = 60;
+  }
+  return image;
+}
+
+TEST_F(RollingSurveyOfAnArc, FindsTheAnglesOfALoadedTyreAndMarksWhatIsNotIt) {
+  RollingSurvey survey(*reference_, Options());
+  constexpr double kFrame_s = 0.1;
+  for (int f = 0; f < 4; ++f) {
+    const RollingFrame& frame =
+        survey.Add(f, f * kFrame_s, rolling_->Pair(f).left, rolling_->Pair(f).right);
+    EXPECT_EQ(frame.status, RollingFrameStatus::kPlaced) << frame.problem;
+  }
+  survey.AddUnreadable(4, 4 * kFrame_s, "00004.png is damaged");
+  const StereoFrame& pair = rolling_->Pair(5);
+  const RollingFrame covered = survey.Add(5, 5 * kFrame_s, Covered(pair.left, 0.9), pair.right);
+  EXPECT_EQ(covered.status, RollingFrameStatus::kNotFound);
+  EXPECT_THAT(covered.problem, HasSubstr("features"));
+  Scenario other = Loaded();
+  other.speckle.seed += 1;
+  LiftedWheel another(other);
+  const RollingFrame foreign =
+      survey.Add(6, 6 * kFrame_s, another.Pair(2).left, another.Pair(2).right);
+  EXPECT_EQ(foreign.status, RollingFrameStatus::kNotFound);
+  EXPECT_FALSE(foreign.problem.empty());
+  const RollingFrame no_right =
+      survey.Add(7, 7 * kFrame_s, pair.left, testing::Wall(reference_->rig));
+  EXPECT_EQ(no_right.status, RollingFrameStatus::kNotFound);
+  EXPECT_THAT(no_right.problem, HasSubstr("found in both images"));
+  EXPECT_THROW((void)survey.Add(8, 1, {Image<std::uint16_t>({100, 80}, 3), 8}, pair.right),
+               InputError);
+
+  const RollingWheel wheel = survey.Finish();
+  ASSERT_EQ(wheel.frames.size(), 8U);
+  EXPECT_EQ(wheel.placed(), 4);
+  const double speed = 5 * kDegrees / kFrame_s;
+  for (std::size_t f = 0; f < 8; ++f) {
+    const RollingFrame& frame = wheel.frames[f];
+    if (f >= 4) {
+      EXPECT_TRUE(std::isnan(frame.angle_rad)) << f;
+      EXPECT_TRUE(frame.points.empty());
+      continue;
+    }
+    const double turned = rolling_->Angle(static_cast<int>(f));
+    EXPECT_NEAR(frame.angle_rad - wheel.frames[0].angle_rad, turned, 0.005 * kDegrees) << f;
+    EXPECT_LT(frame.sigma_random_rad, 0.003 * kDegrees);
+    EXPECT_NEAR(frame.speed_rad_s, speed, 0.002 * speed);
+    EXPECT_TRUE(std::isnan(frame.sigma_calibration_rad));  // this rig does not tell
+    EXPECT_GT(frame.points.size(), 60U);
+  }
+  EXPECT_LT(wheel.sigma_common_rad, 0.1 * kDegrees);
+  // The points are of the material that they are said to be: the tyre is pressed in below.
+  const RollingFrame& frame = wheel.frames[2];
+  const Rigid3 wheel_from_rig = reference_->axis.RigFromWheel(frame.angle_rad).Inverse();
+  double deepest = 0;
+  for (const RollingPoint& p : frame.points) {
+    const Eigen::Vector3d now = wheel_from_rig * p.point_mm;
+    const Eigen::Vector3d moved = now - p.undeformed_mm;
+    EXPECT_LT(moved.norm(), 22);
+    EXPECT_NEAR(moved.y(), 0, 5);
+    deepest = std::min(deepest, std::hypot(now.x(), now.z()) -
+                                    std::hypot(p.undeformed_mm.x(), p.undeformed_mm.z()));
+  }
+  EXPECT_NEAR(deepest, -18, 1.5);
+}
+
+TEST_F(RollingSurveyOfAnArc, RefusesOptionsThatMakeNoSense) {
+  RollingSurveyOptions options = Options();
+  options.least_points = 3;
+  EXPECT_THROW(RollingSurvey(*reference_, options), UsageError);
+  options = Options();
+  options.most_scatter_rad = 0;
+  EXPECT_THROW(RollingSurvey(*reference_, options), UsageError);
+  EXPECT_TRUE(RollingSurvey(*reference_, Options()).Finish().frames.empty());
+}
+
+}  // namespace
+}  // namespace plumbline

@@ -1,0 +1,127 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <array>
+#include <cstdint>
+#include <limits>
+#include <memory>
+#include <string>
+#include <string_view>
+#include <vector>
+
+#include "calib/image.h"
+#include "match/stereo_sequence.h"
+#include "track/angle_smoother.h"
+#include "track/rolling_angles.h"
+#include "track/wheel_reference.h"
+
+namespace plumbline {
+
+// Where a loaded, rolling wheel stands in every frame of a recording, against its reference: the
+// first of two passes. The second measures each frame densely against the reference image that is
+// nearest.
+
+struct RollingSurveyOptions {
+  WheelLibraryOptions library;
+  // How frames are matched with reference images. Grid and step are those of the reference's
+  // views. Subsets are small, since the wide view and the deformation bend them.
+  StereoSequenceOptions matching;
+  // A frame is placed by so many points that both cameras see, at least; and they must agree in the
+  // wheel's angle, up to what deforms it (median deviation).
+  int least_points = 30;
+  double most_scatter_rad = 0.03;
+  int most_points = 600;  // kept of a frame, spread evenly
+  int views_held = 4;     // reference images that are prepared at a time
+  RollingAnglesOptions angles;
+  AngleSmootherOptions smoother;
+
+  RollingSurveyOptions() { matching.field.correlator.subset_px = 21; }
+
+  // Throws UsageError naming the broken constraint.
+  void Check() const;
+};
+
+// A point of the surface, and which material it is.
+struct RollingPoint {
+  Eigen::Vector2d left_px, right_px;          // raw
+  Eigen::Vector3d point_mm;                   // rig frame
+  Eigen::Matrix<float, 6, 1> cov_random_mm2;  // rig frame; xx xy xz yy yz zz
+  Eigen::Vector3d undeformed_mm;              // wheel frame
+  Eigen::Vector2i at{0, 0};                   // (column, row) on the view's grid
+};
+
+// The angle about the wheel's axis of a place in the wheel frame, 0 at the bottom (-z), growing
+// towards x: a material point at this angle is at the bottom when the wheel has turned by as much.
+double MaterialAngle(const Eigen::Vector3d& in_wheel_mm);
+
+enum class RollingFrameStatus : std::uint8_t { kPlaced = 0, kUnreadable, kNotFound };
+inline constexpr std::array<std::string_view, 3> kRollingFrameStatusNames = {"placed", "unreadable",
+                                                                             "not_found"};
+
+struct RollingFrame {
+  std::int64_t index = 0;
+  double time_s = kNone;  // NaN without a clock
+  RollingFrameStatus status = RollingFrameStatus::kNotFound;
+  std::string problem;   // not placed: why, in a sentence
+  std::size_t view = 0;  // of the wheel, that it was matched with
+  // Of the wheel, as the reference counts it (0 in its first frame), going on beyond a turn from
+  // the first placed frame's, which is in 0 to 2 pi. Sigmas are of this frame; what is common to
+  // all: RollingWheel::sigma_common_rad.
+  double angle_rad = kNone, sigma_random_rad = kNone, sigma_calibration_rad = kNone;
+  // NaN without a clock.
+  double speed_rad_s = kNone, sigma_random_rad_s = kNone, sigma_calibration_rad_s = kNone;
+  double measured_angle_rad = kNone, sigma_measured_rad = kNone;  // by this frame alone
+  double lean = kNone;   // on the smoother, see SmoothedAngle
+  bool outlier = false;  // this frame's own angle contradicts the others and does not count
+  std::vector<RollingPoint> points;
+
+  static constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+};
+
+struct RollingWheel {
+  std::vector<RollingFrame> frames;
+  RollingAngles deformation;  // its angles are those measured frame by frame
+  // By which all angles may be off together, see RollingObservation. Angles and speeds relative to
+  // each other do not depend on it.
+  double sigma_common_rad = 0;
+  // What one sigma of each calibration mode adds: (K, frames); NaN where a frame is not placed.
+  Eigen::MatrixXd angle_along_modes_rad, speed_along_modes_rad_s;
+  double jerk_rad_s25 = 0, scatter = 1;  // of the smoother
+
+  int placed() const;
+};
+
+// Takes the frames of a recording in order. Each is found on the wheel by its features
+// (WheelLibrary) and then matched with the view nearest to that angle (StereoSequence), anew every
+// time: a frame's result does not depend on those before. Their points give the angles
+// (FindRollingAngles), these are smoothed (SmoothAngles). A frame that is not found on the wheel is
+// marked and left out; its angle is not guessed, though the smoother could.
+//
+// Memory: about 120 bytes a point kept and what the prepared views take.
+// Calibration: along a mode the points of a frame, those of the reference image, the axis and the
+// view's angle all change; with the weights held all steps are linear.
+//
+// Not thread-safe; uses all of TBB's threads, and the result does not depend on their number.
+class RollingSurvey {
+ public:
+  // Keeps a reference to `wheel`. mask: of the left image; may be empty. Throws UsageError from the
+  // options, InputError as WheelLibrary.
+  RollingSurvey(const WheelReference& wheel, const RollingSurveyOptions& options,
+                const Image<std::uint8_t>& mask = {});
+  ~RollingSurvey();
+
+  // The next frame; its angle is not known yet. Throws InputError where the images are not of the
+  // rig's size.
+  const RollingFrame& Add(std::int64_t index, double time_s, const GrayImage& left,
+                          const GrayImage& right);
+  // One that could not be read.
+  void AddUnreadable(std::int64_t index, double time_s, const std::string& problem);
+
+  RollingWheel Finish();
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace plumbline
