@@ -1,0 +1,47 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstdint>
+#include <span>
+#include <vector>
+
+#include "track/rig_rotation.h"
+
+namespace plumbline::internal {
+
+// The state of the pose: pitch, its rate, roll, height, its rate.
+inline constexpr int kPoseState = 5;
+using PoseState = Eigen::Matrix<double, kPoseState, 1>;
+using PoseStateCov = Eigen::Matrix<double, kPoseState, kPoseState>;
+
+struct PoseModel {
+  bool with_rate = false;
+  RigPose noise = RigPose::Zero();  // as in RigRotation
+  double unseen_height_mm = 0;      // a sqrt(s), on top where there is no plane
+  RigPose prior = RigPose::Zero(), prior_sigma = RigPose::Zero();  // finite
+};
+
+// Which frames' observations are taken, and how likely they are together.
+struct PoseLikelihood {
+  double log_likelihood = 0;
+  std::vector<std::uint8_t> taken;
+};
+
+// Through the frames in their order, or from the last to the first. An observation that is likelier
+// to be bad (1 % of all, anywhere) is not taken.
+PoseLikelihood LikelihoodOf(std::span<const PoseObservation> frames, const PoseModel& model,
+                            bool backwards);
+
+struct SmoothedPose {
+  RigPose pose = RigPose::Zero();
+  Eigen::Matrix3d cov = Eigen::Matrix3d::Zero();
+  RigPose common = RigPose::Zero();
+  std::vector<RigPose> along_modes;
+};
+
+// With the observations that are taken. All have as many modes as the first one has.
+std::vector<SmoothedPose> SmoothPoses(std::span<const PoseObservation> frames,
+                                      const std::vector<std::uint8_t>& taken,
+                                      const PoseModel& model);
+
+}  // namespace plumbline::internal
