@@ -35,11 +35,6 @@ double InWheel(const GroundPlane& plane, const WheelAxis& axis, Eigen::Vector3d*
   return plane.SignedDistance(axis.origin_in_rig_mm());
 }
 
-Rigid3 GroundOf(const RigPose& pose, const WheelAxis& axis) {
-  const GroundPlane plane = PlaneOf(pose, axis);
-  return GroundFromRig(plane, axis.direction_in_rig().cross(plane.normal), axis.origin_in_rig_mm());
-}
-
 // Likeliest where frames or their reverse say so: a bad first frame misleads the filter, and as the
 // last one of the reverse it does not.
 PoseLikelihood BothWays(std::span<const PoseObservation> frames, const PoseModel& model) {
@@ -291,6 +286,11 @@ GroundPlane PlaneOf(const RigPose& pose, const WheelAxis& axis) {
   plane.e2 = (plane.e2 - plane.e2.dot(plane.normal) * plane.normal).normalized();
   plane.e1 = plane.e2.cross(plane.normal);
   return plane;
+}
+
+Rigid3 GroundOf(const RigPose& pose, const WheelAxis& axis) {
+  const GroundPlane plane = PlaneOf(pose, axis);
+  return GroundFromRig(plane, axis.direction_in_rig().cross(plane.normal), axis.origin_in_rig_mm());
 }
 
 PoseObservation ObservePlane(double time_s, const GroundPlane& plane, const WheelAxis& axis,

@@ -29,6 +29,8 @@ RigPose PoseOf(const GroundPlane& plane, const WheelAxis& axis);
 // d pose / d (turn about e1, turn about e2, shift of the plane): the order of GroundPlane::cov.
 Eigen::Matrix3d PoseJacobian(const GroundPlane& plane, const WheelAxis& axis);
 GroundPlane PlaneOf(const RigPose& pose, const WheelAxis& axis);
+// ground_from_rig as in RigRotationFrame::ground.
+Rigid3 GroundOf(const RigPose& pose, const WheelAxis& axis);
 
 // What one frame says about the pose by itself.
 struct PoseObservation {

@@ -1,0 +1,141 @@
+#include "track/patch_series.h"
+
+#include <gtest/gtest.h>
+
+#include <Eigen/LU>
+#include <cmath>
+
+#include "calib/error.h"
+#include "io/virtual_rig/tyre_patch.h"
+#include "support/tyre_frames.h"
+
+namespace plumbline {
+namespace {
+
+using testing::TrueTyreFrame;
+using testing::TyreFrame;
+using testing::TyreScenario;
+using testing::WithNoise;
+
+PatchFrame FrameOf(const TyreFrame& frame) {
+  PatchFrame result{frame.point_mm, frame.undeformed_mm, frame.thickness_mm, {}, {}};
+  result.rotation.found = true;
+  result.rotation.from = RigRotationFrame::From::kPlane;
+  result.rotation.pose = PoseOf(frame.Ground(), frame.axis);
+  result.rotation.ground.frame_from_rig = frame.ground_from_rig;
+  return result;
+}
+
+std::vector<PatchFrame> Draws(const TyreFrame& truth, int count, double sigma_mm, int shared) {
+  std::mt19937 random(1);
+  std::vector<PatchFrame> frames;
+  for (int k = 0; k < count; ++k) {
+    frames.push_back(FrameOf(WithNoise(truth, sigma_mm, shared, random)));
+  }
+  return frames;
+}
+
+PatchSeriesOptions Options(double sigma_mm, int shared) {
+  PatchSeriesOptions options;
+  options.sigma_mm = sigma_mm;
+  options.correlation_area_points = shared * shared;
+  return options;
+}
+
+TEST(PatchSeries, FindsWhatTouchesTheGround) {
+  for (const char* name : {"tyre-flat", "tyre-braking", "tyre-cornering"}) {
+    const VirtualRig rig(TyreScenario(name, {0.8, -1.5, 0.4}));
+    const TyreFrame truth = TrueTyreFrame(rig, 0, 8);
+    const auto patch = FindPatch(*rig.tyre(), 0);
+    const PatchSeries series = FindPatches(Draws(truth, 16, 0.05, 2), truth.axis, Options(0.05, 2));
+    ASSERT_TRUE(series.law.has_value());
+    for (const PatchRecord& record : series.frames) {
+      ASSERT_EQ(record.by, PatchRecord::By::kLiftOff) << record.problem;
+      EXPECT_NEAR(record.patch.area_mm2 / patch->area_mm2, 1, 0.01) << name;
+      EXPECT_NEAR(record.patch.length_mm, patch->length_mm, 1) << name;
+      EXPECT_NEAR(record.patch.width_mm, patch->width_mm, 1) << name;
+      EXPECT_LT((record.patch.centroid_mm - patch->centroid_mm).norm(), 0.7) << name;
+      // Within the threshold, a quarter more.
+      EXPECT_GT(record.within_threshold->area_mm2, 1.2 * patch->area_mm2);
+      EXPECT_TRUE(record.patch.complete());
+    }
+  }
+}
+
+TEST(PatchSeries, SigmasAreThoseOfSampling) {
+  const VirtualRig rig(TyreScenario("tyre-flat", {0.8, -1.5, 0.4}));
+  const TyreFrame truth = TrueTyreFrame(rig, 0, 12);
+  constexpr int kDraws = 40;
+  const auto frames = Draws(truth, kDraws, 0.05, 1);
+  PatchSeriesOptions options = Options(0.05, 1);
+  // The law held: the scatter of the frames is that of their own noise.
+  options.law = FindPatches(frames, truth.axis, options).law;
+  const LiftOffLaw law = *options.law;
+  options.law->cov.setZero();
+  const PatchSeries own = FindPatches(frames, truth.axis, options);
+  PatchRecord::Results sum = PatchRecord::Results::Zero(), square = sum, claimed = sum;
+  for (const PatchRecord& record : own.frames) {
+    PatchRecord::Results r;
+    r << record.patch.area_mm2, record.patch.length_mm, record.patch.width_mm,
+        record.patch.centroid_mm;
+    sum += r / kDraws;
+    square += r.cwiseAbs2() / kDraws;
+    claimed += record.sigma_random / kDraws;
+  }
+  const PatchRecord::Results scatter = (square - sum.cwiseAbs2()).cwiseSqrt();
+  for (const int k : {0, 1, 2, 3, 4}) EXPECT_NEAR(scatter[k] / claimed[k], 1, 0.4) << k;
+  // The law of half the frames differs from that of the others as its sigma says.
+  const std::span<const PatchFrame> all(frames);
+  PatchSeriesOptions free = Options(0.05, 1);
+  double nees = 0;
+  for (int part = 0; part < 4; ++part) {
+    const LiftOffLaw one =
+        *FindPatches(all.subspan(static_cast<std::size_t>(10 * part), 10), truth.axis, free).law;
+    const Eigen::Vector2d d(one.log_k - law.log_k, one.m - law.m);
+    nees += d.dot((one.cov * 0.75).inverse() * d) / 4;
+  }
+  EXPECT_GT(nees, 0.2);
+  EXPECT_LT(nees, 6);
+}
+
+TEST(PatchSeries, TheGroundsErrorIsInIt) {
+  const VirtualRig rig(TyreScenario("tyre-flat", {0.8, -1.5, 0.4}));
+  const TyreFrame truth = TrueTyreFrame(rig, 0, 12);
+  auto frames = Draws(truth, 3, 0.02, 1);
+  const PatchSeries exact = FindPatches(frames, truth.axis, Options(0.02, 1));
+  // 0.1 mm of height, as noise in one and as a calibration mode in another frame.
+  frames[1].rotation.cov_random = Eigen::Vector3d(1e-12, 1e-12, 0.01).asDiagonal();
+  frames[2].along_modes_mm.emplace_back(truth.point_mm.size(), Eigen::Vector3f::Zero());
+  Rigid3 higher = truth.ground_from_rig;
+  higher.translation_mm.z() += 0.1;
+  frames[2].rotation.ground.along_modes = {higher};
+  const PatchSeries unsure = FindPatches(frames, truth.axis, Options(0.02, 1));
+  EXPECT_GT(unsure.frames[1].sigma_random[0], 2 * exact.frames[1].sigma_random[0]);
+  EXPECT_NEAR(unsure.frames[2].sigma_calibration[0],
+              std::sqrt(std::pow(unsure.frames[1].sigma_random[0], 2) -
+                        std::pow(exact.frames[1].sigma_random[0], 2)),
+              0.3 * unsure.frames[2].sigma_calibration[0]);
+}
+
+TEST(PatchSeries, FallsBackOnTheThresholdOverAnObstacleAndSaysSo) {
+  const VirtualRig rig(TyreScenario("cleat-longitudinal-square38", {0.8, -1.5, 0.4}));
+  const VirtualRig flat(TyreScenario("tyre-flat", {0.8, -1.5, 0.4}));
+  const TyreFrame ground = TrueTyreFrame(flat, 0, 12);
+  std::vector<PatchFrame> frames = Draws(ground, 2, 0.05, 1);
+  frames.push_back(FrameOf(TrueTyreFrame(rig, 0, 12)));
+  frames.push_back(frames.front());
+  frames.back().rotation.found = false;
+  frames.back().rotation.problem = "it was dark";
+  const PatchSeries series = FindPatches(frames, ground.axis, Options(0.05, 1));
+  EXPECT_EQ(series.frames[0].by, PatchRecord::By::kLiftOff);
+  EXPECT_NE(series.frames[2].by, PatchRecord::By::kLiftOff);
+  EXPECT_FALSE(series.frames[2].problem.empty());
+  EXPECT_EQ(series.frames[3].by, PatchRecord::By::kNothing);
+  EXPECT_EQ(series.frames[3].problem, "it was dark");
+  PatchSeriesOptions bad;
+  bad.lift_off.power = 1;
+  EXPECT_THROW((void)FindPatches({}, ground.axis, bad), UsageError);
+}
+
+}  // namespace
+}  // namespace plumbline

@@ -1,0 +1,70 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <span>
+#include <string>
+#include <vector>
+
+#include "calib/image.h"
+#include "fit/contact_patch.h"
+#include "fit/lift_off.h"
+#include "track/rig_rotation.h"
+
+namespace plumbline {
+
+// The contact patch of every frame of a rolling tyre, in the ground frame of the frame.
+//
+// Definition: contact is where the carcass's law of lift-off has it begin (fit/lift_off.h), the law
+// being that of all frames together. Where that does not hold (over an obstacle), the patch is what
+// lies within a threshold of the ground (fit/contact_patch.h), which is larger, and says so.
+struct PatchFrame {
+  Image<Eigen::Vector3d> point_mm;       // inner surface, rig frame; NaN where there is none
+  Image<Eigen::Vector3d> undeformed_mm;  // of the same material at the same wheel angle, rig frame
+  Image<double> thickness_mm;            // of the carcass (ThicknessOver)
+  // What each calibration mode does to the points, rig frame; it is taken to do the same to their
+  // undeformed places. As many as rotation.ground.along_modes, or none.
+  std::vector<Image<Eigen::Vector3f>> along_modes_mm;
+  RigRotationFrame rotation;
+};
+
+struct PatchSeriesOptions {
+  LiftOffOptions lift_off;
+  ContactPatchOptions threshold;
+  double sigma_mm = 0.05;              // of the points along the ground's normal, from noise
+  double correlation_area_points = 1;  // as in GroundPlaneOptions
+  std::optional<LiftOffLaw> law;       // that of another run of the same tyre
+
+  // Throws UsageError naming the broken constraint.
+  void Check() const;
+};
+
+struct PatchRecord {
+  enum class By { kNothing, kLiftOff, kThreshold };
+  By by = By::kNothing;
+  std::string problem;  // kNothing, kThreshold: why
+  ContactPatch patch;   // of kLiftOff, d_area_d_threshold_mm counts mm of undeformed depth
+  // Area, length, width, centroid x and y, as in ContactPatch::kResults; mm and mm^2. From noise
+  // (the points', the law's, the ground's) and from the calibration. NaN by the threshold: there
+  // ContactPatch::CovarianceOf tells.
+  using Results = Eigen::Matrix<double, ContactPatch::kResults, 1>;
+  Results sigma_random = Results::Zero(), sigma_calibration = Results::Zero();
+  // The part of sigma_random that is the law's, and so common to all frames.
+  Results sigma_law = Results::Zero();
+  // Within the threshold, whatever `by` says.
+  std::optional<ContactPatch> within_threshold;
+};
+
+struct PatchSeries {
+  std::optional<LiftOffLaw> law;  // none: no frame shows it
+  std::vector<PatchRecord> frames;
+};
+
+// axis: of the wheel, rig frame. Frames whose rotation was not found have no patch. The errors of
+// the ground are taken as independent of those of the points at the boundary.
+// Throws UsageError from the options, std::invalid_argument where sizes or numbers differ.
+// Accuracy: tests/track/patch_series_test.cc.
+[[nodiscard]] PatchSeries FindPatches(std::span<const PatchFrame> frames, const WheelAxis& axis,
+                                      const PatchSeriesOptions& options = {});
+
+}  // namespace plumbline
