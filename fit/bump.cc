@@ -14,8 +14,8 @@
 namespace plumbline {
 namespace {
 
-constexpr int kRounds = 5;
-constexpr double kSpreads = 2.5 * 1.4826;  // median deviations: 2.5 sigmas
+constexpr double kSigmas = 1.5;
+constexpr double kTopShare = 0.75;  // of the height: what rises above it tells where the top is
 constexpr double kLeastSpread_mm = 0.02;
 
 class Finder {
@@ -49,7 +49,7 @@ class Finder {
       if (seen_.data()[i] != 0) continue;
       const std::optional<std::vector<std::size_t>> area = Area(i, smooth.data()[i] / 2);
       if (!area) continue;
-      const std::optional<Bump> bump = Measure(i, *area);
+      const std::optional<Bump> bump = Measure(smooth.data()[i], *area);
       if (bump && bump->height_mm.value >= options_.least_height_mm &&
           bump->significance >= options_.least_significance) {
         bumps.push_back(*bump);
@@ -145,19 +145,35 @@ class Finder {
       });
       if (near) ring.push_back(k);
     }
-    for (int round = 0; round < kRounds && !ring.empty(); ++round) {
-      std::vector<double> values, apart;
-      for (const std::size_t k : ring) values.push_back(clearance_.data()[k]);
-      const double middle = Median(values);
-      for (const double value : values) apart.push_back(std::abs(value - middle));
-      const double most = std::max(kLeastSpread_mm, kSpreads * Median(apart));
-      std::erase_if(ring,
-                    [&](std::size_t k) { return std::abs(clearance_.data()[k] - middle) > most; });
+    if (ring.empty()) return ring;
+    std::vector<double> sigmas, values;
+    for (const std::size_t k : ring) {
+      sigmas.push_back(std::sqrt(static_cast<double>(surface_.cov_random_mm2.data()[k][5])));
+      values.push_back(clearance_.data()[k]);
     }
+    // Where they lie densest: many of them may hang free already.
+    const double half = std::max(kLeastSpread_mm, kSigmas * Median(std::move(sigmas)));
+    std::sort(values.begin(), values.end());
+    std::ptrdiff_t most = 0;
+    double middle = 0;
+    for (auto low = values.begin(); low != values.end(); ++low) {
+      const auto high = std::upper_bound(low, values.end(), *low + 2 * half);
+      if (high - low > most) {
+        most = high - low;
+        middle = *(low + most / 2);
+      }
+    }
+    std::erase_if(ring,
+                  [&](std::size_t k) { return std::abs(clearance_.data()[k] - middle) > half; });
     return ring;
   }
 
-  std::optional<Bump> Measure(std::size_t top, const std::vector<std::size_t>& area) const {
+  std::optional<Bump> Measure(double height_mm, const std::vector<std::size_t>& area) const {
+    const Eigen::Vector2d centre = CentreOf(area, kTopShare * height_mm);
+    const std::size_t top =
+        *std::min_element(area.begin(), area.end(), [&](std::size_t a, std::size_t b) {
+          return (At(a) - centre).norm() < (At(b) - centre).norm();
+        });
     const std::vector<std::size_t> peak = Near(top, options_.top_radius_mm);
     const std::vector<std::size_t> ring = Surroundings(area);
     if (ring.empty()) return std::nullopt;
@@ -167,12 +183,15 @@ class Finder {
       for (const std::size_t k : places) changes.push_back({k, Eigen::RowVector3d(0, 0, by)});
     };
     add(peak, 1);
+    const MeasuredScalar clearance =
+        MeasuredSum(changes, MeanClearance(peak), surface_, neighbours_);
     add(ring, -1);
     std::sort(changes.begin(), changes.end(),
               [](const PointChange& a, const PointChange& b) { return a.place < b.place; });
     Bump bump;
     bump.place = top;
-    bump.at_mm = CentreOf(area, clearance_.data()[top] / 2);
+    bump.at_mm = centre;
+    bump.clearance_mm = clearance;
     bump.height_mm =
         MeasuredSum(changes, MeanClearance(peak) - MeanClearance(ring), surface_, neighbours_);
     const double calibration =

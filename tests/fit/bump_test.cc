@@ -52,6 +52,7 @@ TEST(Bump, IsFoundWithItsSigma) {
   const auto exact = FindBumps(Surface(Ground(at, 5)), thickness, kIndependent, options);
   ASSERT_EQ(exact.size(), 1U);
   EXPECT_NEAR(exact[0].height_mm.value, 5, 0.2);
+  EXPECT_NEAR(exact[0].clearance_mm.value, 5, 0.2);
   EXPECT_LT((exact[0].at_mm - at).norm(), 0.5);
   EXPECT_NEAR(exact[0].width_mm, 2 * std::sqrt(200 * std::log(2)), 4);
   double squares = 0;

@@ -254,9 +254,11 @@ TEST(WheelDeformation, FindsTheNutsByThemselves) {
                   scene.wheel().neighbours());
     ASSERT_EQ(bumps.size(), 1U) << nut.height_mm;
     const Bump& bump = bumps[0];
-    const double sigma =
-        std::hypot(bump.height_mm.sigma_random, bump.height_mm.sigma_calibration());
-    EXPECT_NEAR(bump.height_mm.value, nut.height_mm, 0.1 + 2 * sigma);
+    const auto sigma = [](const MeasuredScalar& scalar) {
+      return std::hypot(scalar.sigma_random, scalar.sigma_calibration());
+    };
+    EXPECT_NEAR(bump.clearance_mm.value, nut.height_mm, 0.02 + 2.5 * sigma(bump.clearance_mm));
+    EXPECT_NEAR(bump.height_mm.value, nut.height_mm, 0.15 + 2.5 * sigma(bump.height_mm));
     EXPECT_NEAR(bump.at_mm.x(), nut.way_mm - scene.state().travel_mm, 4) << nut.height_mm;
     EXPECT_NEAR(bump.at_mm.y(), 0, 4);
     EXPECT_GT(bump.significance, 50);
