@@ -26,8 +26,8 @@ namespace plumbline {
 //                      positive to the left.
 // SAE J670e (1976; J670 JAN2008 calls these axes z-down: x forwards, y to the right, z down):
 //   longitudinal slip  the same ratio of spin velocities, both at the same V_x, driving positive
-//                      (told in percent there, as a ratio here; for books that follow it with the
-//                      sign turned, Blundell and Harty, eq. 5.19, take its negative);
+//                      (told in percent there, as a ratio here; Blundell and Harty, "The multibody
+//                      systems approach to vehicle dynamics", eq. 5.19, turn its sign);
 //   slip angle         from the heading to the direction of travel, positive to the right:
 //                      -alpha of ISO 8855.
 enum class SlipConvention : std::uint8_t { kIso8855 = 0, kSaeJ670 };
@@ -45,9 +45,9 @@ inline constexpr std::array<std::string_view, 4> kContactMotionNames = {"no_cont
 // How the wheel turns in a frame.
 struct WheelTurning {
   WheelAxis axis;
-  // Rotation about the wheel's x, y, z (rad; rotation <- rotation exp(it)) and distance (mm); what
-  // one sigma of each calibration mode adds to them (modes, 4), empty: unknown.
+  // Of a rotation about the wheel's x, y, z (rad; rotation <- rotation exp(it)) and the distance.
   Eigen::Matrix4d cov_axis_random = Eigen::Matrix4d::Zero();
+  // What one sigma of each calibration mode adds to these four (modes, 4). Empty: unknown.
   Eigen::MatrixXd axis_along_modes;
   MeasuredScalar speed_rad_s;  // positive: forwards. No modes: they do not change it
 };

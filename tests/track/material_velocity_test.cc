@@ -214,7 +214,7 @@ TEST_F(NoisyVelocity, CovarianceIsThatOfSampling) {
   const MeanVelocity mean = MeanOf(exact, exact_frames, weight, wheel_.neighbours());
   const Eigen::Matrix3d mean_cov =
       mean.cov_independent + mean.along_common * mean.along_common.transpose();
-  constexpr int kDraws = 300;
+  constexpr int kDraws = 200;
   double nees = 0, nees_mean = 0;
   for (int draw = 0; draw < kDraws; ++draw) {
     std::vector<MaterialFrame> noisy = frames_;

@@ -114,7 +114,7 @@ const Scene& Known(const std::string& name) {
 
 TEST(RollingSlip, IsThatOfTheTyre) {
   for (const char* name :
-       {"tyre-flat", "tyre-braking", "tyre-cornering", "cleat-lateral-square38", "nuts"}) {
+       {"tyre-flat", "tyre-braking", "tyre-cornering", "cleat-lateral-square38"}) {
     const Scene& scene = Known(name);
     const RollingSlip slip = scene.Slip(scene.Exact());
     ASSERT_TRUE(slip.found) << name << slip.problem;
@@ -129,7 +129,7 @@ TEST(RollingSlip, IsThatOfTheTyre) {
 }
 
 TEST(RollingSlip, FindsTheSlidingZone) {
-  for (const char* name : {"tyre-flat", "tyre-braking", "tyre-cornering"}) {
+  for (const char* name : {"tyre-braking", "tyre-cornering"}) {
     const Sigmas sigmas{.depth_mm = 0.08, .across_mm = 0.02};
     const Scene scene(name, 3, sigmas);
     std::mt19937 random(5);
@@ -137,13 +137,13 @@ TEST(RollingSlip, FindsTheSlidingZone) {
     ASSERT_TRUE(slip.found);
     const double threshold = 0.02 * scene.speed();
     int missed = 0, slides = 0, wrong = 0, sticks = 0;
-    double true_mm2 = 0, found_mm2 = 0;  // area, in points
+    double true_points = 0, found_points = 0;
     for (std::size_t i = 0; i < slip.motion.pixel_count(); ++i) {
       if (slip.motion.data()[i] == ContactMotion::kNoContact) continue;
       const double speed = scene.now().velocity_mm_s.data()[i].head<2>().norm();
       if (scene.now().ground_mm.data()[i].x() > 60) continue;  // where shear sets in
-      true_mm2 += speed > threshold ? 1 : 0;
-      found_mm2 += slip.motion.data()[i] == ContactMotion::kSliding ? 1 : 0;
+      true_points += speed > threshold ? 1 : 0;
+      found_points += slip.motion.data()[i] == ContactMotion::kSliding ? 1 : 0;
       // Half of the way between frames smears the zone's edge.
       if (speed > 4 * threshold) {
         ++slides;
@@ -156,13 +156,12 @@ TEST(RollingSlip, FindsTheSlidingZone) {
     EXPECT_EQ(missed, 0) << name << " of " << slides;
     EXPECT_GT(sticks, 250) << name;
     EXPECT_LE(wrong, 0.05 * sticks) << name;
-    if (scene.tyre().slip_ratio == 0 && scene.tyre().slip_angle_rad == 0) {
-      EXPECT_EQ(slip.sliding, 0);
-    } else {
-      EXPECT_GT(slides, 25) << name;
-      EXPECT_NEAR(found_mm2 / true_mm2, 1, 0.15) << name;
-    }
+    EXPECT_GT(slides, 25) << name;
+    EXPECT_NEAR(found_points / true_points, 1, 0.15) << name;
   }
+  const Scene& flat = Known("tyre-flat");
+  std::mt19937 random(6);
+  EXPECT_EQ(flat.Slip(flat.Draw(&random)).sliding, 0);
 }
 
 TEST(RollingSlip, SigmasAreThoseOfSampling) {
@@ -176,7 +175,7 @@ TEST(RollingSlip, SigmasAreThoseOfSampling) {
   for (const char* name : {"tyre-braking", "tyre-cornering"}) {
     const Scene scene(name, 3, sigmas, 24);
     std::mt19937 random(7);
-    constexpr int kDraws = 200;
+    constexpr int kDraws = 160;
     double squares[3] = {};
     int covered[3] = {};
     for (int draw = 0; draw < kDraws; ++draw) {

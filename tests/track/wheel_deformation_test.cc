@@ -246,7 +246,7 @@ TEST(WheelDeformation, FindsTheNutsByThemselves) {
   };
   for (const Nut& nut :
        {Nut{3, 23.1, 0}, Nut{9, 19.6, 160}, Nut{14, 13.6, 320}, Nut{20, 10, 480}}) {
-    const Scene scene(MakeScenario("nuts"), nut.frame);
+    const Scene scene(MakeScenario("nuts"), nut.frame, 20);
     std::mt19937 random(static_cast<unsigned>(nut.frame));
     const LoadedWheel drawn = scene.Draw(random);
     const std::vector<Bump> bumps =
