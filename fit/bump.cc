@@ -147,6 +147,8 @@ class Finder {
     }
     if (ring.empty()) return ring;
     std::vector<double> sigmas, values;
+    sigmas.reserve(ring.size());
+    values.reserve(ring.size());
     for (const std::size_t k : ring) {
       sigmas.push_back(std::sqrt(static_cast<double>(surface_.cov_random_mm2.data()[k][5])));
       values.push_back(clearance_.data()[k]);

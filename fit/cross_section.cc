@@ -63,10 +63,12 @@ class Cutter {
   // The stretches of an outline between edges that are missing.
   void AddPieces(const std::vector<GridEdge>& loop, std::vector<Piece>& pieces) const {
     std::vector<std::optional<SectionPoint>> points;
+    points.reserve(loop.size() + 1);
     for (const GridEdge& edge : loop) points.push_back(Crossing(edge));
     const auto missing = std::find(points.begin(), points.end(), std::nullopt);
     if (missing == points.end()) {
       Piece closed;
+      closed.reserve(points.size() + 1);
       for (const auto& point : points) closed.push_back(*point);
       std::rotate(closed.begin(),
                   std::min_element(closed.begin(), closed.end(),

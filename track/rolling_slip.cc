@@ -98,6 +98,7 @@ std::vector<Candidate> AwayFromOthers(const std::vector<Candidate>& points,
 Image<double> StickingWeights(const MaterialVelocity& velocity, std::vector<Candidate> points,
                               const Image<Eigen::Vector3d>& point_mm, double interval_s) {
   std::vector<double> sigmas;
+  sigmas.reserve(points.size());
   for (const Candidate& p : points) sigmas.push_back(PlanarSigma(velocity, p.place));
   const double sigma = Median(std::move(sigmas));
   double speed = 0;

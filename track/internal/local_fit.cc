@@ -39,6 +39,7 @@ std::vector<double> ParaboloidWeights(const std::vector<Eigen::Vector2d>& points
   }
   if (points.size() < kFewest || !SurroundOrigin(others)) return {};
   std::vector<Vector6> rows;
+  rows.reserve(points.size());
   Eigen::Matrix<double, 6, 6> normal = Eigen::Matrix<double, 6, 6>::Zero();
   for (const Eigen::Vector2d& p : points) {
     const double x = p.x() / scale, y = p.y() / scale;
@@ -50,6 +51,7 @@ std::vector<double> ParaboloidWeights(const std::vector<Eigen::Vector2d>& points
   const Vector6 first = normal.ldlt().solve(Vector6::Unit(0));
   if (!first.allFinite()) return {};
   std::vector<double> weights;
+  weights.reserve(rows.size());
   for (const Vector6& row : rows) weights.push_back(first.dot(row));
   return weights;
 }

@@ -104,6 +104,7 @@ std::vector<std::pair<std::size_t, double>> MaterialLookup::SharesAt(
   // Value at the origin of the weighted least-squares plane: e1' (sum w P P')^-1 w P.
   Eigen::Matrix3d normal = Eigen::Matrix3d::Zero();
   std::vector<Eigen::Vector3d> weighted;
+  weighted.reserve(apart.size());
   for (const Eigen::Vector2d& d : apart) {
     const Eigen::Vector3d p(1, d.x() / reach_mm_, d.y() / reach_mm_);
     const double w = std::pow(1 - d.squaredNorm() / (reach_mm_ * reach_mm_), 2);
@@ -113,6 +114,7 @@ std::vector<std::pair<std::size_t, double>> MaterialLookup::SharesAt(
   const Eigen::Vector3d row_of_inverse = normal.ldlt().solve(Eigen::Vector3d::UnitX());
   if (!row_of_inverse.allFinite()) return {};
   std::vector<std::pair<std::size_t, double>> shares;
+  shares.reserve(places.size());
   for (std::size_t k = 0; k < places.size(); ++k) {
     shares.emplace_back(places[k], row_of_inverse.dot(weighted[k]));
   }
