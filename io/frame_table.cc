@@ -112,6 +112,42 @@ void AddSlip(Columns& columns) {
                    &R::sigma_calibration_ratio);
   columns.Measured("slip_angle_deg", &SeriesFrame::slip, &R::angle_rad, &R::sigma_random_angle_rad,
                    &R::sigma_calibration_angle_rad, kDegrees);
+  columns.Measured("speed_mm_s", &SeriesFrame::slip, &R::speed_mm_s, &R::sigma_random_speed_mm_s,
+                   &R::sigma_calibration_speed_mm_s);
+  columns.Measured("effective_radius_mm", &SeriesFrame::slip, &R::effective_radius_mm,
+                   &R::sigma_random_effective_radius_mm, &R::sigma_calibration_effective_radius_mm);
+  columns.Measured("slip_ratio_by_channel", &SeriesFrame::slip, &R::ratio_by_channel,
+                   &R::sigma_random_ratio_by_channel, &R::sigma_calibration_ratio_by_channel);
+  columns.Plain("sticking_points", [](const SeriesFrame& frame) { return frame.slip.sticking; });
+  columns.Plain("sliding_points", [](const SeriesFrame& frame) { return frame.slip.sliding; });
+  columns.Plain("undecided_points", [](const SeriesFrame& frame) { return frame.slip.undecided; });
+}
+
+void AddRigRotation(Columns& columns) {
+  using R = RigRotationRecord;
+  columns.Measured("rig_pitch_deg", &SeriesFrame::rig_rotation, &R::pitch_rad,
+                   &R::sigma_random_pitch_rad, &R::sigma_calibration_pitch_rad, kDegrees);
+  columns.Measured("rig_roll_deg", &SeriesFrame::rig_rotation, &R::roll_rad,
+                   &R::sigma_random_roll_rad, &R::sigma_calibration_roll_rad, kDegrees);
+  columns.Measured("rig_height_mm", &SeriesFrame::rig_rotation, &R::height_mm,
+                   &R::sigma_random_height_mm, &R::sigma_calibration_height_mm);
+  columns.Plain("rig_lean", [](const SeriesFrame& frame) { return frame.rig_rotation.lean; });
+}
+
+void AddDeformation(Columns& columns) {
+  using D = DeformationRecord;
+  const auto add = [&](const char* name, double D::*value, double D::*random,
+                       double D::*calibration) {
+    columns.Measured(name, &SeriesFrame::deformation, value, random, calibration);
+  };
+  add("loaded_radius_mm", &D::loaded_radius_mm, &D::sigma_random_loaded_radius_mm,
+      &D::sigma_calibration_loaded_radius_mm);
+  add("deflection_mm", &D::deflection_mm, &D::sigma_random_deflection_mm,
+      &D::sigma_calibration_deflection_mm);
+  add("longitudinal_mm", &D::longitudinal_mm, &D::sigma_random_longitudinal_mm,
+      &D::sigma_calibration_longitudinal_mm);
+  add("lateral_mm", &D::lateral_mm, &D::sigma_random_lateral_mm, &D::sigma_calibration_lateral_mm);
+  add("radial_mm", &D::radial_mm, &D::sigma_random_radial_mm, &D::sigma_calibration_radial_mm);
 }
 
 void AddRigidMotion(Columns& columns) {
@@ -138,6 +174,8 @@ Columns ColumnsOf(const SeriesContents& contents) {
   if (contents.wheel) AddWheel(columns);
   if (contents.patch) AddPatch(columns);
   if (contents.slip) AddSlip(columns);
+  if (contents.rig_rotation) AddRigRotation(columns);
+  if (contents.deformation) AddDeformation(columns);
   if (contents.rigid_motion) AddRigidMotion(columns);
   if (contents.rig_watch) AddRigWatch(columns);
   return columns;

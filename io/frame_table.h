@@ -10,7 +10,8 @@ namespace plumbline {
 // (quoted; empty where there is none), valid_points, then what the series holds of each frame as a
 // whole, each number followed by sigma_random_... and sigma_calibration_...: tilt of the ground;
 // angle, speed and place of the wheel; area, length, width and centroid of the contact patch; slip
-// ratio and angle; the rigid motion; the cameras' watch. Angles in degrees. `nan`: not measured.
+// ratio, angle and speed; rotation of the rig; deformation of the wheel; the rigid motion; the
+// cameras' watch. Angles in degrees. `nan`: not measured.
 //
 // Memory: that of one frame. Throws EnvironmentError naming the file, InputError as
 // SeriesReader::Frame.

@@ -11,6 +11,7 @@
 #include "calib/rigid3.h"
 #include "calib/status.h"
 #include "io/series_shard.h"
+#include "io/wheel_records.h"
 
 namespace plumbline {
 
@@ -36,6 +37,8 @@ struct SeriesContents {
   bool velocity = false;      // /velocity
   bool rigid_motion = false;  // /rigid_motion
   bool rig_watch = false;     // /rig_watch
+  bool rig_rotation = false;  // /rig_rotation
+  bool deformation = false;   // /deformation
 
   friend bool operator==(const SeriesContents&, const SeriesContents&) = default;
 };
@@ -163,73 +166,6 @@ struct PrincipalStrain {
 };
 PrincipalStrain PrincipalOf(const Eigen::Vector3f& strain);
 
-// The wheel of one frame, as /wheel holds it, in the ground frame. Where it was found, axis and
-// centre are numbers; what else was not measured is NaN.
-struct WheelRecord {
-  bool found = false;
-  std::string problem;                                             // why not
-  Eigen::Vector3d axis = Eigen::Vector3d::Constant(kNotMeasured);  // unit vector
-  Eigen::Vector3d centre_mm = Eigen::Vector3d::Constant(kNotMeasured);
-  double radius_mm = kNotMeasured;
-  double angle_rad = kNotMeasured;    // turned about the axis since the first frame
-  double speed_rad_s = kNotMeasured;  // about the axis
-  Eigen::Matrix3d cov_axis_random = Eigen::Matrix3d::Constant(kNotMeasured);
-  Eigen::Matrix3d cov_axis_calibration = Eigen::Matrix3d::Constant(kNotMeasured);
-  Eigen::Vector3d sigma_random_centre_mm = Eigen::Vector3d::Constant(kNotMeasured);
-  Eigen::Vector3d sigma_calibration_centre_mm = Eigen::Vector3d::Constant(kNotMeasured);
-  double sigma_random_radius_mm = kNotMeasured;
-  double sigma_calibration_radius_mm = kNotMeasured;
-  double sigma_random_angle_rad = kNotMeasured;
-  double sigma_calibration_angle_rad = kNotMeasured;
-  double sigma_random_speed_rad_s = kNotMeasured;
-  double sigma_calibration_speed_rad_s = kNotMeasured;
-
-  static constexpr double kNotMeasured = GroundRecord::kNotMeasured;
-};
-
-// The contact patch of one frame, as /patch holds it: length along x of the ground frame (the
-// direction of travel), width along y. Where it was found, the area is a number.
-struct PatchRecord {
-  bool found = false;
-  std::string problem;  // why not
-  double area_mm2 = kNotMeasured;
-  double length_mm = kNotMeasured;
-  double width_mm = kNotMeasured;
-  Eigen::Vector2d centroid_mm = Eigen::Vector2d::Constant(kNotMeasured);  // ground x, y
-  double sigma_random_area_mm2 = kNotMeasured;
-  double sigma_calibration_area_mm2 = kNotMeasured;
-  double sigma_random_length_mm = kNotMeasured;
-  double sigma_calibration_length_mm = kNotMeasured;
-  double sigma_random_width_mm = kNotMeasured;
-  double sigma_calibration_width_mm = kNotMeasured;
-  Eigen::Vector2d sigma_random_centroid_mm = Eigen::Vector2d::Constant(kNotMeasured);
-  Eigen::Vector2d sigma_calibration_centroid_mm = Eigen::Vector2d::Constant(kNotMeasured);
-  double threshold_mm = kNotMeasured;           // that decides what is in contact
-  double d_area_d_threshold_mm = kNotMeasured;  // mm^2 of area a mm of threshold
-  // Ground x, y; closed, first point not repeated. A row of NaN parts several outlines.
-  std::vector<Eigen::Vector2d> contour_mm;
-
-  static constexpr double kNotMeasured = GroundRecord::kNotMeasured;
-};
-
-// How the surface slips over the ground, as /slip holds it. Where it was found, the ratio is a
-// number. The velocities of the points (in Surface::frame) are there with or without it.
-struct SlipRecord {
-  bool found = false;
-  std::string problem;  // why not
-  double ratio = kNotMeasured;
-  double angle_rad = kNotMeasured;
-  double sigma_random_ratio = kNotMeasured;
-  double sigma_calibration_ratio = kNotMeasured;
-  double sigma_random_angle_rad = kNotMeasured;
-  double sigma_calibration_angle_rad = kNotMeasured;
-  Image<Eigen::Vector3f> velocity_mm_s;
-  Image<Eigen::Vector3f> sigma_random_mm_s;
-  Image<Eigen::Vector3f> sigma_calibration_mm_s;
-
-  static constexpr double kNotMeasured = GroundRecord::kNotMeasured;
-};
-
 // The rigid motion of the whole surface since the reference, as /rigid_motion holds it:
 // in Surface::frame: a turn about the centroid of the points, and the way of the centroid. Where it
 // was found, both vectors are numbers.
@@ -287,6 +223,8 @@ struct SeriesFrame {
   VelocityField velocity;
   RigidMotionRecord rigid_motion;
   RigWatchRecord rig_watch;
+  RigRotationRecord rig_rotation;
+  DeformationRecord deformation;
 };
 
 }  // namespace plumbline

@@ -16,7 +16,7 @@ namespace plumbline::internal {
 using ContentFlag = bool SeriesContents::*;
 template <>
 struct OptionalContents<SeriesContents> {
-  static constexpr std::array<OptionalContent<SeriesContents>, 10> list = {{
+  static constexpr std::array<OptionalContent<SeriesContents>, 12> list = {{
       {"covariance", "/surface/covariance", &SeriesContents::covariance},
       {"displacement", "/displacement", &SeriesContents::displacement},
       {"strain", "/strain", &SeriesContents::strain},
@@ -27,6 +27,8 @@ struct OptionalContents<SeriesContents> {
       {"velocity", "/velocity", &SeriesContents::velocity},
       {"rigid_motion", "/rigid_motion", &SeriesContents::rigid_motion},
       {"rig_watch", "/rig_watch", &SeriesContents::rig_watch},
+      {"rig_rotation", "/rig_rotation", &SeriesContents::rig_rotation},
+      {"deformation", "/deformation", &SeriesContents::deformation},
   }};
 };
 

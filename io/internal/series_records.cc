@@ -241,9 +241,81 @@ RecordGroup SlipGroup() {
   RecordGroup group{"/slip", "wheel slip", "", &SeriesContents::slip, {}, {}, {}, {}, {}};
   GroupBuilder<S> add(std::move(group), &SeriesFrame::slip);
   add.Measured({"ratio", "1", "longitudinal slip ratio, by the group's convention"}, &S::ratio,
-               &S::sigma_random_ratio, &S::sigma_calibration_ratio, {}, true);
+               &S::sigma_random_ratio, &S::sigma_calibration_ratio);
   add.Measured({"angle_rad", "rad", "slip angle, by the group's convention"}, &S::angle_rad,
-               &S::sigma_random_angle_rad, &S::sigma_calibration_angle_rad);
+               &S::sigma_random_angle_rad, &S::sigma_calibration_angle_rad, {}, true);
+  add.Measured({"speed", "mm/s", "speed of the wheel over the ground"}, &S::speed_mm_s,
+               &S::sigma_random_speed_mm_s, &S::sigma_calibration_speed_mm_s);
+  add.Measured({"effective_radius_mm", "mm", "travel a radian of the wheel"},
+               &S::effective_radius_mm, &S::sigma_random_effective_radius_mm,
+               &S::sigma_calibration_effective_radius_mm);
+  add.Measured({"ratio_by_channel", "1",
+                "longitudinal slip ratio by the vehicle-speed channel in place of the patch"},
+               &S::ratio_by_channel, &S::sigma_random_ratio_by_channel,
+               &S::sigma_calibration_ratio_by_channel);
+  add.Stored({"sticking", "1", "points in contact that stick to the ground"}, &S::sticking);
+  add.Stored({"sliding", "1", "points in contact that slide over the ground"}, &S::sliding);
+  add.Stored({"undecided", "1", "points in contact of which neither can be told"}, &S::undecided);
+  return add.Take();
+}
+
+RecordGroup RigRotationGroup() {
+  using R = RigRotationRecord;
+  RecordGroup group{"/rig_rotation",
+                    "rotation of the rig",
+                    "pitch_rad",
+                    &SeriesContents::rig_rotation,
+                    {},
+                    {},
+                    {},
+                    {},
+                    {}};
+  GroupBuilder<R> add(std::move(group), &SeriesFrame::rig_rotation);
+  add.Measured({"pitch_rad", "rad",
+                "turn about the wheel's axis from the wheel frame's z to the ground's normal"},
+               &R::pitch_rad, &R::sigma_random_pitch_rad, &R::sigma_calibration_pitch_rad, {},
+               true);
+  add.Measured({"roll_rad", "rad", "turn of the ground about the wheel's heading"}, &R::roll_rad,
+               &R::sigma_random_roll_rad, &R::sigma_calibration_roll_rad, {}, true);
+  add.Measured({"height_mm", "mm", "height of the wheel frame's origin above the ground"},
+               &R::height_mm, &R::sigma_random_height_mm, &R::sigma_calibration_height_mm, {},
+               true);
+  add.Stored({"lean", "1", "0: all from the frame's own plane, 1: all from other frames"}, &R::lean)
+      .needed = true;
+  return add.Take();
+}
+
+RecordGroup DeformationGroup() {
+  using D = DeformationRecord;
+  RecordGroup group{"/deformation",
+                    "deformation of the wheel",
+                    "deflection_mm",
+                    &SeriesContents::deformation,
+                    {},
+                    {},
+                    {},
+                    {},
+                    {}};
+  group.axes = {Components({"x", "y", "z"})};
+  GroupBuilder<D> add(std::move(group), &SeriesFrame::deformation);
+  add.Measured({"loaded_radius_mm", "mm",
+                "distance of the wheel's centre from the ground along the wheel's plane"},
+               &D::loaded_radius_mm, &D::sigma_random_loaded_radius_mm,
+               &D::sigma_calibration_loaded_radius_mm, {}, true);
+  add.Measured({"deflection_mm", "mm", "rise of the inner surface under the wheel's centre"},
+               &D::deflection_mm, &D::sigma_random_deflection_mm,
+               &D::sigma_calibration_deflection_mm);
+  add.Measured({"longitudinal_mm", "mm",
+                "shift of the carcass along the wheel's heading, mean over the contact patch"},
+               &D::longitudinal_mm, &D::sigma_random_longitudinal_mm,
+               &D::sigma_calibration_longitudinal_mm);
+  add.Measured({"lateral_mm", "mm",
+                "shift of the carcass to the left of the heading, mean over the contact patch"},
+               &D::lateral_mm, &D::sigma_random_lateral_mm, &D::sigma_calibration_lateral_mm);
+  add.Measured({"radial_mm", "mm", "largest approach of the material to the wheel's axis"},
+               &D::radial_mm, &D::sigma_random_radial_mm, &D::sigma_calibration_radial_mm);
+  add.Stored({"radial_at", "mm", "where that is, in the ground frame"}, &D::radial_at_mm,
+             {"component"});
   return add.Take();
 }
 
@@ -323,7 +395,8 @@ RecordGroup RigWatchGroup() {
 
 const std::vector<RecordGroup>& RecordGroups() {
   static const std::vector<RecordGroup> groups = {
-      GroundGroup(), WheelGroup(), PatchGroup(), SlipGroup(), RigidMotionGroup(), RigWatchGroup()};
+      GroundGroup(),      WheelGroup(),    PatchGroup(),       SlipGroup(),
+      RigidMotionGroup(), RigWatchGroup(), RigRotationGroup(), DeformationGroup()};
   return groups;
 }
 

@@ -46,7 +46,8 @@ struct RecordGroup {
   bool in_surface_frame = false;  // its vectors are along the axes of Surface::frame
 };
 
-// /ground, /wheel, /patch (without its contour), the numbers of /slip, /rigid_motion, /rig_watch.
+// /ground, /wheel, /patch (without its contour), the numbers of /slip, /rigid_motion, /rig_watch,
+// /rig_rotation, /deformation.
 const std::vector<RecordGroup>& RecordGroups();
 
 }  // namespace plumbline::internal

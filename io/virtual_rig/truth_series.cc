@@ -193,6 +193,10 @@ void TruthSeries::FillTyre(double time_s, SeriesFrame* frame) const {
   slip.angle_rad = tyre.options().slip_angle_rad;
   slip.sigma_random_ratio = slip.sigma_calibration_ratio = 0;
   slip.sigma_random_angle_rad = slip.sigma_calibration_angle_rad = 0;
+  slip.speed_mm_s = state.speed_mm_s;
+  slip.sigma_random_speed_mm_s = slip.sigma_calibration_speed_mm_s = 0;
+  slip.effective_radius_mm = tyre.options().free_rolling_radius_mm / (1 + slip.ratio);
+  slip.sigma_random_effective_radius_mm = slip.sigma_calibration_effective_radius_mm = 0;
 }
 
 }  // namespace plumbline

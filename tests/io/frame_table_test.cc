@@ -50,6 +50,9 @@ same('sigma_random_wheel_angle_deg', file['wheel/angle_rad_errors_random'][:], d
 same('slip_angle_deg', file['slip/angle_rad'][:], degrees)
 same('sigma_calibration_slip_ratio', file['slip/ratio_errors_calibration'][:])
 same('ground_tilt_y_deg', file['ground/angles_rad'][:, 1], degrees)
+same('rig_pitch_deg', file['rig_rotation/pitch_rad'][:], degrees)
+same('sigma_random_radial_mm', file['deformation/radial_mm_errors_random'][:])
+same('speed_mm_s', file['slip/speed'][:])
 same('translation_z_mm', file['rigid_motion/translation'][:, 2])
 print('same')
 )py",

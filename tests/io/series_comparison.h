@@ -99,9 +99,46 @@ inline void ExpectSameSlip(const SlipRecord& a, const SlipRecord& b) {
   ExpectSame(a.sigma_calibration_ratio, b.sigma_calibration_ratio);
   ExpectSame(a.sigma_random_angle_rad, b.sigma_random_angle_rad);
   ExpectSame(a.sigma_calibration_angle_rad, b.sigma_calibration_angle_rad);
+  for (const auto member :
+       {&SlipRecord::speed_mm_s, &SlipRecord::effective_radius_mm, &SlipRecord::ratio_by_channel,
+        &SlipRecord::sigma_random_speed_mm_s, &SlipRecord::sigma_calibration_speed_mm_s,
+        &SlipRecord::sigma_random_effective_radius_mm,
+        &SlipRecord::sigma_calibration_effective_radius_mm,
+        &SlipRecord::sigma_random_ratio_by_channel, &SlipRecord::sigma_calibration_ratio_by_channel,
+        &SlipRecord::sticking, &SlipRecord::sliding, &SlipRecord::undecided}) {
+    ExpectSame(a.*member, b.*member);
+  }
   ExpectSamePoints(a.velocity_mm_s, b.velocity_mm_s);
   ExpectSamePoints(a.sigma_random_mm_s, b.sigma_random_mm_s);
   ExpectSamePoints(a.sigma_calibration_mm_s, b.sigma_calibration_mm_s);
+}
+
+inline void ExpectSameRigRotation(const RigRotationRecord& a, const RigRotationRecord& b) {
+  using R = RigRotationRecord;
+  EXPECT_EQ(a.found, b.found);
+  EXPECT_EQ(a.problem, b.problem);
+  for (const auto member :
+       {&R::pitch_rad, &R::roll_rad, &R::height_mm, &R::lean, &R::sigma_random_pitch_rad,
+        &R::sigma_calibration_pitch_rad, &R::sigma_random_roll_rad, &R::sigma_calibration_roll_rad,
+        &R::sigma_random_height_mm, &R::sigma_calibration_height_mm}) {
+    ExpectSame(a.*member, b.*member);
+  }
+}
+
+inline void ExpectSameDeformation(const DeformationRecord& a, const DeformationRecord& b) {
+  using D = DeformationRecord;
+  EXPECT_EQ(a.found, b.found);
+  EXPECT_EQ(a.problem, b.problem);
+  for (const auto member :
+       {&D::loaded_radius_mm, &D::deflection_mm, &D::longitudinal_mm, &D::lateral_mm, &D::radial_mm,
+        &D::sigma_random_loaded_radius_mm, &D::sigma_calibration_loaded_radius_mm,
+        &D::sigma_random_deflection_mm, &D::sigma_calibration_deflection_mm,
+        &D::sigma_random_longitudinal_mm, &D::sigma_calibration_longitudinal_mm,
+        &D::sigma_random_lateral_mm, &D::sigma_calibration_lateral_mm, &D::sigma_random_radial_mm,
+        &D::sigma_calibration_radial_mm}) {
+    ExpectSame(a.*member, b.*member);
+  }
+  ExpectSame(a.radial_at_mm, b.radial_at_mm);
 }
 
 inline void ExpectSameRigidMotion(const RigidMotionRecord& a, const RigidMotionRecord& b) {
@@ -202,6 +239,8 @@ inline void ExpectSameFrame(const SeriesFrame& a, const SeriesFrame& b) {
   ExpectSameSlip(a.slip, b.slip);
   ExpectSameRigidMotion(a.rigid_motion, b.rigid_motion);
   ExpectSameRigWatch(a.rig_watch, b.rig_watch);
+  ExpectSameRigRotation(a.rig_rotation, b.rig_rotation);
+  ExpectSameDeformation(a.deformation, b.deformation);
 }
 
 }  // namespace plumbline::testing

@@ -84,7 +84,7 @@ inline SeriesFrame SmallFrame(std::int64_t i, ImageSize grid = {7, 5}) {
 // A header with every optional group.
 inline SeriesHeader FullHeader(ImageSize grid = {7, 5}) {
   SeriesHeader header = SmallHeader(grid);
-  header.contents = {true, true, true, true, true, true, true, true, true, true};
+  header.contents = {true, true, true, true, true, true, true, true, true, true, true, true};
   header.grid_points = "material";
   header.displacement_reference = "frame 10";
   header.rigid_motion_removed = true;
@@ -198,6 +198,15 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
     slip.sigma_calibration_ratio = 0.004;
     slip.sigma_random_angle_rad = 0.005;
     slip.sigma_calibration_angle_rad = 0.012;
+    slip.speed_mm_s = 1400 + t;  // and no channel
+    slip.sigma_random_speed_mm_s = 0.3;
+    slip.sigma_calibration_speed_mm_s = 0.4;
+    slip.effective_radius_mm = 389;
+    slip.sigma_random_effective_radius_mm = 0.03;
+    slip.sigma_calibration_effective_radius_mm = 0.04;
+    slip.sticking = 20 + t;
+    slip.sliding = 5;
+    slip.undecided = 3;
   }
   RigidMotionRecord& motion = frame.rigid_motion;
   motion.found = true;
@@ -222,6 +231,36 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
     watch.alarm = i == 0;
     watch.right_from_left = Rigid3::FromRotationVector({0.01, -0.3, 0.02}, {-123, 0.5, 6});
   }
+  RigRotationRecord& rotation = frame.rig_rotation;
+  rotation.found = i != 1;
+  if (!rotation.found) rotation.problem = "no flat ground";
+  if (rotation.found) {
+    rotation.pitch_rad = 0.01 * t;
+    rotation.roll_rad = -0.02;
+    rotation.height_mm = 386;
+    rotation.lean = 0.3;
+    rotation.sigma_random_pitch_rad = 3e-4;
+    rotation.sigma_calibration_pitch_rad = 4e-4;
+    rotation.sigma_random_roll_rad = 5e-4;
+    rotation.sigma_calibration_roll_rad = 12e-4;
+    rotation.sigma_random_height_mm = 0.03;
+    rotation.sigma_calibration_height_mm = 0.04;
+  }
+  DeformationRecord& deformation = frame.deformation;
+  deformation.found = true;
+  deformation.loaded_radius_mm = 386 + t;  // and no deflection
+  deformation.longitudinal_mm = 0.5;
+  deformation.lateral_mm = -0.5;
+  deformation.radial_mm = 18.5;
+  deformation.radial_at_mm = Eigen::Vector3d(1, 2, 20);
+  deformation.sigma_random_loaded_radius_mm = 0.03;
+  deformation.sigma_calibration_loaded_radius_mm = 0.04;
+  deformation.sigma_random_longitudinal_mm = 0.05;
+  deformation.sigma_calibration_longitudinal_mm = 0.12;
+  deformation.sigma_random_lateral_mm = 0.06;
+  deformation.sigma_calibration_lateral_mm = 0.08;
+  deformation.sigma_random_radial_mm = 0.09;
+  deformation.sigma_calibration_radial_mm = 0.12;
   return frame;
 }
 

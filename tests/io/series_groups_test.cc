@@ -109,7 +109,7 @@ TEST(SeriesGroups, AreEachOptional) {
        {&SeriesContents::covariance, &SeriesContents::displacement, &SeriesContents::strain,
         &SeriesContents::wheel, &SeriesContents::patch, &SeriesContents::slip,
         &SeriesContents::matches, &SeriesContents::velocity, &SeriesContents::rigid_motion,
-        &SeriesContents::rig_watch}) {
+        &SeriesContents::rig_watch, &SeriesContents::rig_rotation, &SeriesContents::deformation}) {
     SeriesHeader header = SmallHeader();
     header.contents.*flag = true;
     const fs::path file = folder / (Names(header.contents).at(0) + ".h5");
@@ -125,6 +125,8 @@ TEST(SeriesGroups, AreEachOptional) {
     EXPECT_EQ(!frame.strain.status.empty(), header.contents.strain);
     EXPECT_EQ(frame.rigid_motion.found, header.contents.rigid_motion);
     EXPECT_EQ(frame.rig_watch.found, header.contents.rig_watch);
+    EXPECT_EQ(frame.rig_rotation.found, header.contents.rig_rotation);
+    EXPECT_EQ(frame.deformation.found, header.contents.deformation);
     EXPECT_EQ(frame.patch.contour_mm.size(), header.contents.patch ? 3u : 0u);
     EXPECT_THAT(Validate(file), IsEmpty());
   }
@@ -298,12 +300,12 @@ TEST(SeriesGroups, AreNamedInTheSummary) {
   EXPECT_THAT(
       Inspect(file).Text(),
       HasSubstr("also holds: covariance, displacement, strain, patch, slip, matches, velocity, "
-                "rigid_motion, rig_watch, channels (Fz, empty)\n"));
+                "rigid_motion, rig_watch, rig_rotation, deformation, channels (Fz, empty)\n"));
   Write(TestFolder() / "plain.h5", SmallHeader(), {SmallFrame(0)});
   EXPECT_THAT(Inspect(TestFolder() / "plain.h5").Text(), ::testing::Not(HasSubstr("also")));
   EXPECT_THAT(Names(header.contents),
               ElementsAre("covariance", "displacement", "strain", "patch", "slip", "matches",
-                          "velocity", "rigid_motion", "rig_watch"));
+                          "velocity", "rigid_motion", "rig_watch", "rig_rotation", "deformation"));
 }
 
 TEST(PrincipalStrain, IsThatOfMohrsCircle) {

@@ -299,7 +299,7 @@ assert f.attrs['format'] == 'plumbline-series' and f.attrs['format_version'] == 
 for name in ('created', 'software', 'recipe', 'inputs'): assert name in f.attrs, name
 assert count > 200, count
 check_nexus('surface', 'grid', 'frames', 'ground', 'displacement', 'strain', 'wheel', 'patch', 'slip', 'channels/Fz',
-            'match', 'velocity', 'rigid_motion', 'rig_watch')
+            'match', 'velocity', 'rigid_motion', 'rig_watch', 'rig_rotation', 'deformation')
 p, s = f['surface/position'], f['surface/status']
 assert p.shape == (3, 5, 7, 3) and p.chunks == (1, 5, 7, 3) and p.shuffle and p.compression_opts == 1
 assert np.isnan(p.fillvalue)
@@ -313,11 +313,13 @@ np.testing.assert_allclose(f['surface/position_errors'][:], np.hypot(f['surface/
 for n in ('surface/position', 'displacement/value', 'strain/value', 'strain/principal', 'strain/angle', 'strain/von_mises', 'strain/max_shear',
           'slip/velocity', 'velocity/value', 'rigid_motion/rotation', 'rigid_motion/translation', 'rig_watch/change', 'ground/offset', 'ground/angles_rad',
           'wheel/axis', 'wheel/centre', 'wheel/radius', 'wheel/angle_rad', 'wheel/speed', 'patch/area_mm2', 'patch/length_mm',
-          'patch/width_mm', 'patch/centroid', 'slip/ratio', 'slip/angle_rad'):
+          'patch/width_mm', 'patch/centroid', 'slip/ratio', 'slip/angle_rad', 'slip/speed', 'slip/effective_radius_mm', 'slip/ratio_by_channel',
+          'rig_rotation/pitch_rad', 'rig_rotation/roll_rad', 'rig_rotation/height_mm', 'deformation/loaded_radius_mm', 'deformation/deflection_mm',
+          'deformation/longitudinal_mm', 'deformation/lateral_mm', 'deformation/radial_mm'):
     v, a, b, e = (f[n + x][:] for x in ('', '_errors_random', '_errors_calibration', '_errors'))
     assert v.shape == a.shape == b.shape == e.shape, n
     np.testing.assert_allclose(e, np.hypot(a, b), rtol=1e-6)
-    assert np.isfinite(e).any() == (n not in ('wheel/speed', 'strain/angle', 'strain/max_shear')), n
+    assert np.isfinite(e).any() == (n not in ('wheel/speed', 'strain/angle', 'strain/max_shear', 'slip/ratio_by_channel', 'deformation/deflection_mm')), n
 for g in ('surface', 'displacement', 'slip', 'velocity', 'rigid_motion'): assert f[g].attrs['frame'] == 'ground'
 assert f['grid'].attrs['points'] == 'material' and f['displacement'].attrs['reference'] == 'frame 10'
 assert f['displacement'].attrs['rigid_motion_removed'] == 1
