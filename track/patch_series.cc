@@ -10,7 +10,7 @@
 namespace plumbline {
 namespace {
 
-using Results = PatchRecord::Results;
+using Results = FramePatch::Results;
 
 Results ResultsOf(const ContactPatch& patch) {
   Results results;
@@ -45,7 +45,7 @@ class PatchOfFrame {
       : frame_(frame), law_(law), axis_(axis), options_(options) {}
 
   // By the law; sigmas and all. Says why not.
-  bool Find(PatchRecord* record) const {
+  bool Find(FramePatch* record) const {
     const InGround ground(frame_, frame_.rotation.ground.frame_from_rig);
     const auto line = Line(ground, &record->problem);
     if (!line) return false;
@@ -54,7 +54,7 @@ class PatchOfFrame {
       record->problem = "no point is in contact by the law of lift-off";
       return false;
     }
-    record->by = PatchRecord::By::kLiftOff;
+    record->by = FramePatch::By::kLiftOff;
     record->patch = *patch;
     const Results results = ResultsOf(*patch);
 
@@ -163,7 +163,7 @@ PatchSeries FindPatches(std::span<const PatchFrame> frames, const WheelAxis& axi
   std::string no_law;
   series.law = LawOf(frames, options, &no_law);
   for (const PatchFrame& frame : frames) {
-    PatchRecord& record = series.frames.emplace_back();
+    FramePatch& record = series.frames.emplace_back();
     if (!frame.rotation.found) {
       record.problem = frame.rotation.problem;
       continue;
@@ -178,7 +178,7 @@ PatchSeries FindPatches(std::span<const PatchFrame> frames, const WheelAxis& axi
       record.problem = why;
       continue;
     }
-    record.by = PatchRecord::By::kThreshold;
+    record.by = FramePatch::By::kThreshold;
     record.patch = *record.within_threshold;
     record.sigma_random.setConstant(std::numeric_limits<double>::quiet_NaN());
     record.sigma_calibration = record.sigma_law = record.sigma_random;

@@ -39,7 +39,7 @@ struct PatchSeriesOptions {
   void Check() const;
 };
 
-struct PatchRecord {
+struct FramePatch {
   enum class By { kNothing, kLiftOff, kThreshold };
   By by = By::kNothing;
   std::string problem;  // kNothing, kThreshold: why
@@ -57,7 +57,7 @@ struct PatchRecord {
 
 struct PatchSeries {
   std::optional<LiftOffLaw> law;  // none: no frame shows it
-  std::vector<PatchRecord> frames;
+  std::vector<FramePatch> frames;
 };
 
 // axis: of the wheel, rig frame. Frames whose rotation was not found have no patch. The errors of

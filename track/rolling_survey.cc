@@ -12,6 +12,7 @@
 #include "calib/error.h"
 #include "calib/median.h"
 #include "calib/mode_triangulation.h"
+#include "track/internal/axis_along_modes.h"
 #include "track/surface_motion.h"
 #include "track/surface_state.h"
 
@@ -42,11 +43,6 @@ std::size_t NearestView(const WheelReference& wheel, double angle_rad) {
     }
   }
   return nearest;
-}
-
-// The wheel when the calibration is off by one sigma of a mode.
-WheelAxis AlongMode(const WheelAxis& axis, const Eigen::Vector4d& change) {
-  return {axis.rotation * RotationFromVector(change.head<3>()), axis.distance_mm + change[3]};
 }
 
 // So many of them that at most `most` are left.
@@ -89,11 +85,14 @@ struct RollingSurvey::Impl {
   struct Prepared {
     std::size_t view = 0;
     std::unique_ptr<StereoSequence> sequence;
-    Eigen::MatrixXf material_along;  // (points of the grid, K): of their MaterialAngle()
+    Image<Eigen::Vector3d> material_mm;  // wheel frame; NaN where the view has no point
+    Eigen::MatrixXf material_along;      // (points of the grid, K): of their MaterialAngle()
   };
 
   Prepared& Prepare(std::size_t view);
-  Eigen::MatrixXf MaterialAlong(const WheelReferenceView& view) const;
+  Image<Eigen::Vector3d> MaterialOf(const WheelReferenceView& view, const StereoField& field) const;
+  Eigen::MatrixXf MaterialAlong(const WheelReferenceView& view,
+                                const Image<Eigen::Vector3d>& material_mm) const;
   void Match(const GrayImage& left, const GrayImage& right, double rough_rad, RollingFrame& frame);
   void Keep(const Prepared& prepared, const StereoField& field, RollingFrame& frame);
   void AddRow(const RollingFrame& frame, const Prepared& prepared, double rough_rad);
@@ -109,41 +108,66 @@ struct RollingSurvey::Impl {
   std::vector<RollingFrame> frames;
   std::vector<std::vector<RollingObservation>> observations;  // one a frame
   std::vector<Eigen::MatrixXf> psi_along;
+  ImageSize grid;  // of the points that are kept
+  int spacing_px = 0;
 };
 
 RollingSurvey::Impl::Impl(const WheelReference& w, const RollingSurveyOptions& o,
                           const Image<std::uint8_t>& m)
-    : wheel(w), options(o), mask(m), library(w, o.library), modes(w.rig) {
-  for (Eigen::Index k = 0; k < wheel.axis_along_modes.rows(); ++k) {
-    axes_along.push_back(AlongMode(wheel.axis, wheel.axis_along_modes.row(k).transpose()));
+    : wheel(w),
+      options(o),
+      mask(m),
+      library(w, o.library),
+      modes(w.rig),
+      axes_along(internal::AxesAlongModes(w)) {}
+
+// Where the points of a view's pair lie on the undeformed wheel.
+Image<Eigen::Vector3d> RollingSurvey::Impl::MaterialOf(const WheelReferenceView& view,
+                                                       const StereoField& field) const {
+  StereoSurface surface = TriangulateField(wheel.rig, field, UnitCovariance(field, field));
+  const Rigid3 wheel_from_rig = wheel.axis.RigFromWheel(view.angle_rad).Inverse();
+  Image<Eigen::Vector3d> material_mm = std::move(surface.instant.point_mm);
+  for (std::size_t i = 0; i < material_mm.pixel_count(); ++i) {
+    Eigen::Vector3d& p = material_mm.data()[i];
+    if (surface.status.data()[i] == Status::kOk) {
+      p = wheel_from_rig * p;
+    } else {
+      p.setConstant(RollingFrame::kNone);
+    }
   }
+  return material_mm;
 }
 
 // What each mode does to the material angles of a view's points: they are seen where they are, at
 // another place of another wheel.
-Eigen::MatrixXf RollingSurvey::Impl::MaterialAlong(const WheelReferenceView& view) const {
-  const std::size_t count = view.point_mm.pixel_count(), K = axes_along.size();
+Eigen::MatrixXf RollingSurvey::Impl::MaterialAlong(
+    const WheelReferenceView& view, const Image<Eigen::Vector3d>& material_mm) const {
+  const std::size_t count = material_mm.pixel_count(), K = axes_along.size();
   Eigen::MatrixXf along =
       Eigen::MatrixXf::Zero(static_cast<Eigen::Index>(count), static_cast<Eigen::Index>(K));
   if (K == 0) return along;
   const Rigid3 rig_from_wheel = wheel.axis.RigFromWheel(view.angle_rad);
+  std::vector<std::size_t> places;
   std::vector<Eigen::Vector2d> left, right;
   std::vector<Eigen::Vector3d> in_rig;
-  for (const Eigen::Vector3d& p : view.point_mm.values()) {
-    in_rig.push_back(rig_from_wheel * p);
+  for (std::size_t i = 0; i < count; ++i) {
+    if (!material_mm.data()[i].allFinite()) continue;
+    places.push_back(i);
+    in_rig.push_back(rig_from_wheel * material_mm.data()[i]);
     left.push_back(wheel.rig.left.Project(in_rig.back()));
     right.push_back(wheel.rig.right.Project(wheel.rig.right_from_left * in_rig.back()));
   }
-  std::vector<Eigen::Vector3f> moved(count * K);
+  std::vector<Eigen::Vector3f> moved(places.size() * K);
   modes.Differences(left, right, moved);
   for (std::size_t k = 0; k < K; ++k) {
     const double angle =
         view.angle_rad + wheel.angles_along_modes_rad(static_cast<Eigen::Index>(k), view.frame);
     const Rigid3 wheel_from_rig = axes_along[k].RigFromWheel(angle).Inverse();
-    for (std::size_t i = 0; i < count; ++i) {
-      const Eigen::Vector3d there = wheel_from_rig * (in_rig[i] + moved[i * K + k].cast<double>());
-      along(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(k)) = static_cast<float>(
-          std::remainder(MaterialAngle(there) - MaterialAngle(view.point_mm.data()[i]), kTurn_rad));
+    for (std::size_t n = 0; n < places.size(); ++n) {
+      const Eigen::Vector3d there = wheel_from_rig * (in_rig[n] + moved[n * K + k].cast<double>());
+      along(static_cast<Eigen::Index>(places[n]), static_cast<Eigen::Index>(k)) =
+          static_cast<float>(std::remainder(
+              MaterialAngle(there) - MaterialAngle(material_mm.data()[places[n]]), kTurn_rad));
     }
   }
   return along;
@@ -157,12 +181,13 @@ RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
     return prepared.front();
   }
   const WheelReferenceView& v = wheel.views[view];
-  StereoSequenceOptions matching = options.matching;
-  matching.field.first_px = v.first_px;
-  matching.field.step_px = v.step_px;
-  matching.field.grid = v.point_mm.size();
-  Prepared anew{view, std::make_unique<StereoSequence>(wheel.rig, v.left, v.right, matching, mask),
-                MaterialAlong(v)};
+  Prepared anew{
+      view,
+      std::make_unique<StereoSequence>(wheel.rig, v.left, v.right, options.matching, mask),
+      {},
+      {}};
+  anew.material_mm = MaterialOf(v, anew.sequence->reference());
+  anew.material_along = MaterialAlong(v, anew.material_mm);
   while (prepared.size() >= static_cast<std::size_t>(options.views_held)) prepared.pop_back();
   prepared.push_front(std::move(anew));
   return prepared.front();
@@ -171,18 +196,16 @@ RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
 // The points that both cameras see, of known material.
 void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, RollingFrame& frame) {
   const StereoSequence& sequence = *by.sequence;
-  const Image<Eigen::Vector3d>& material = wheel.views[by.view].point_mm;
+  const Image<Eigen::Vector3d>& material = by.material_mm;
   const Image<Eigen::Vector3f> unit = UnitCovariance(sequence.reference(), field);
   const StereoSurface surface = TriangulateField(wheel.rig, field, unit);
   const auto cov = CovarianceOf(surface.instant, unit);
   const auto usable = [&](int r, int c) {
     return surface.status(r, c) == Status::kOk && material(r, c).allFinite();
   };
-  int count = 0;
-  for (int r = 0; r < material.height(); ++r) {
-    for (int c = 0; c < material.width(); ++c) count += usable(r, c) ? 1 : 0;
-  }
-  const int stride = StrideFor(count, options.most_points);
+  const int stride = StrideFor(static_cast<int>(material.pixel_count()), options.most_points);
+  grid = {(material.width() - 1) / stride + 1, (material.height() - 1) / stride + 1};
+  spacing_px = stride * field.left.step_px;
   for (int r = 0; r < material.height(); r += stride) {
     for (int c = 0; c < material.width(); c += stride) {
       if (!usable(r, c)) continue;
@@ -192,14 +215,16 @@ void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, Rol
                               surface.instant.point_mm(r, c),
                               cov(r, c),
                               material(r, c),
-                              {c, r}});
+                              {c / stride, r / stride},
+                              r * material.width() + c});
     }
   }
 }
 
 // What the frame's points say of the wheel's angle, near the rough one; and along the modes.
 void RollingSurvey::Impl::AddRow(const RollingFrame& frame, const Prepared& by, double rough_rad) {
-  constexpr int kBlock = 3;  // points of the grid
+  constexpr int kBlockPx = 72;
+  const int block = std::max(1, kBlockPx / spacing_px);  // points
   const Rigid3 wheel_from_rig = wheel.axis.RigFromWheel(0).Inverse();
   const Eigen::Index K = static_cast<Eigen::Index>(axes_along.size());
   const std::size_t count = frame.points.size();
@@ -219,7 +244,7 @@ void RollingSurvey::Impl::AddRow(const RollingFrame& frame, const Prepared& by, 
         wheel.axis.rotation * Eigen::Vector3d(-here.z(), 0, here.x()) / radius;
     const Eigen::Matrix3d cov = CovarianceOf(p.cov_random_mm2);
     o.sigma_rad = std::sqrt(forwards.dot(cov * forwards)) / radius;
-    o.block = p.at.y() / kBlock * wheel.views[by.view].point_mm.width() + p.at.x() / kBlock;
+    o.block = p.at.y() / block * grid.width + p.at.x() / block;
     out.push_back(o);
     left.push_back(p.left_px);
     right.push_back(p.right_px);
@@ -229,7 +254,6 @@ void RollingSurvey::Impl::AddRow(const RollingFrame& frame, const Prepared& by, 
   if (K == 0) return;
   std::vector<Eigen::Vector3f> moved(count * axes_along.size());
   modes.Differences(left, right, moved);
-  const int columns = wheel.views[by.view].point_mm.width();
   for (Eigen::Index k = 0; k < K; ++k) {
     const Rigid3 moved_from_rig = axes_along[static_cast<std::size_t>(k)].RigFromWheel(0).Inverse();
     for (std::size_t i = 0; i < count; ++i) {
@@ -239,7 +263,7 @@ void RollingSurvey::Impl::AddRow(const RollingFrame& frame, const Prepared& by, 
           (p.point_mm + moved[i * axes_along.size() + static_cast<std::size_t>(k)].cast<double>());
       const double place = std::remainder(MaterialAngle(there) - out[i].place_rad, kTurn_rad);
       along(static_cast<Eigen::Index>(i), k) =
-          by.material_along(p.at.y() * columns + p.at.x(), k) - static_cast<float>(place);
+          by.material_along(p.place, k) - static_cast<float>(place);
     }
   }
 }
@@ -356,6 +380,8 @@ RollingWheel RollingSurvey::Finish() {
   out.deformation = FindRollingAngles(impl.observations, impl.psi_along, impl.options.angles);
   out.sigma_common_rad = out.deformation.sigma_common_rad;
   out.frames = std::move(impl.frames);
+  out.grid = impl.grid;
+  out.spacing_px = impl.spacing_px;
   impl.frames.clear();
   const std::size_t n = out.frames.size();
   bool clock = true;

@@ -23,15 +23,15 @@ namespace plumbline {
 
 struct RollingSurveyOptions {
   WheelLibraryOptions library;
-  // How frames are matched with reference images. Grid and step are those of the reference's
-  // views. Subsets are small, since the wide view and the deformation bend them.
+  // How frames are matched with reference images. Subsets are small, since the wide view and the
+  // deformation bend them.
   StereoSequenceOptions matching;
   // A frame is placed by so many points that both cameras see, at least; and they must agree in the
   // wheel's angle, up to what deforms it (median deviation).
   int least_points = 30;
   double most_scatter_rad = 0.03;
-  int most_points = 600;  // kept of a frame, spread evenly
-  int views_held = 4;     // reference images that are prepared at a time
+  int most_points = 1500;  // kept of a frame, spread evenly
+  int views_held = 4;      // reference images that are prepared at a time
   RollingAnglesOptions angles;
   AngleSmootherOptions smoother;
 
@@ -47,7 +47,8 @@ struct RollingPoint {
   Eigen::Vector3d point_mm;                   // rig frame
   Eigen::Matrix<float, 6, 1> cov_random_mm2;  // rig frame; xx xy xz yy yz zz
   Eigen::Vector3d undeformed_mm;              // wheel frame
-  Eigen::Vector2i at{0, 0};                   // (column, row) on the view's grid
+  Eigen::Vector2i at{0, 0};                   // (column, row) on RollingWheel::grid
+  int place = 0;                              // row * columns + column on the view's whole grid
 };
 
 // The angle about the wheel's axis of a place in the wheel frame, 0 at the bottom (-z), growing
@@ -80,6 +81,8 @@ struct RollingFrame {
 
 struct RollingWheel {
   std::vector<RollingFrame> frames;
+  ImageSize grid;      // that the frames' points lie on, the same pixels in all reference images
+  int spacing_px = 0;  // of it
   RollingAngles deformation;  // its angles are those measured frame by frame
   // By which all angles may be off together, see RollingObservation. Angles and speeds relative to
   // each other do not depend on it.

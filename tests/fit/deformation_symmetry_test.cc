@@ -5,7 +5,7 @@
 #include <cmath>
 
 #include "calib/error.h"
-#include "support/tyre_frames.h"
+#include "tests/support/tyre_frames.h"
 
 namespace plumbline {
 namespace {

@@ -7,7 +7,7 @@
 
 #include "calib/error.h"
 #include "fit/carcass_thickness.h"
-#include "support/tyre_frames.h"
+#include "tests/support/tyre_frames.h"
 
 namespace plumbline {
 namespace {

@@ -52,10 +52,10 @@ class LiftedWheel {
     return WheelAxis::Through(rig_from_ground * Eigen::Vector3d(0, 0, Wheel(0).centre_height_mm),
                               rig_from_ground.rotation * Wheel(0).axis);
   }
+  WheelState Wheel(int frame) const { return rig_->tyre()->Wheel(rig_->FrameTime(frame)); }
+  const VirtualRig& virtual_rig() const { return *rig_; }
 
  private:
-  WheelState Wheel(int frame) const { return rig_->tyre()->Wheel(rig_->FrameTime(frame)); }
-
   std::unique_ptr<VirtualRig> rig_;
   std::map<int, StereoFrame> pairs_;
 };

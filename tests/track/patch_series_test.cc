@@ -7,7 +7,7 @@
 
 #include "calib/error.h"
 #include "io/virtual_rig/tyre_patch.h"
-#include "support/tyre_frames.h"
+#include "tests/support/tyre_frames.h"
 
 namespace plumbline {
 namespace {
@@ -49,8 +49,8 @@ TEST(PatchSeries, FindsWhatTouchesTheGround) {
     const auto patch = FindPatch(*rig.tyre(), 0);
     const PatchSeries series = FindPatches(Draws(truth, 16, 0.05, 2), truth.axis, Options(0.05, 2));
     ASSERT_TRUE(series.law.has_value());
-    for (const PatchRecord& record : series.frames) {
-      ASSERT_EQ(record.by, PatchRecord::By::kLiftOff) << record.problem;
+    for (const FramePatch& record : series.frames) {
+      ASSERT_EQ(record.by, FramePatch::By::kLiftOff) << record.problem;
       EXPECT_NEAR(record.patch.area_mm2 / patch->area_mm2, 1, 0.01) << name;
       EXPECT_NEAR(record.patch.length_mm, patch->length_mm, 1) << name;
       EXPECT_NEAR(record.patch.width_mm, patch->width_mm, 1) << name;
@@ -73,16 +73,16 @@ TEST(PatchSeries, SigmasAreThoseOfSampling) {
   const LiftOffLaw law = *options.law;
   options.law->cov.setZero();
   const PatchSeries own = FindPatches(frames, truth.axis, options);
-  PatchRecord::Results sum = PatchRecord::Results::Zero(), square = sum, claimed = sum;
-  for (const PatchRecord& record : own.frames) {
-    PatchRecord::Results r;
+  FramePatch::Results sum = FramePatch::Results::Zero(), square = sum, claimed = sum;
+  for (const FramePatch& record : own.frames) {
+    FramePatch::Results r;
     r << record.patch.area_mm2, record.patch.length_mm, record.patch.width_mm,
         record.patch.centroid_mm;
     sum += r / kDraws;
     square += r.cwiseAbs2() / kDraws;
     claimed += record.sigma_random / kDraws;
   }
-  const PatchRecord::Results scatter = (square - sum.cwiseAbs2()).cwiseSqrt();
+  const FramePatch::Results scatter = (square - sum.cwiseAbs2()).cwiseSqrt();
   for (const int k : {0, 1, 2, 3, 4}) EXPECT_NEAR(scatter[k] / claimed[k], 1, 0.4) << k;
   // The law of half the frames differs from that of the others as its sigma says.
   const std::span<const PatchFrame> all(frames);
@@ -127,10 +127,10 @@ TEST(PatchSeries, FallsBackOnTheThresholdOverAnObstacleAndSaysSo) {
   frames.back().rotation.found = false;
   frames.back().rotation.problem = "it was dark";
   const PatchSeries series = FindPatches(frames, ground.axis, Options(0.05, 1));
-  EXPECT_EQ(series.frames[0].by, PatchRecord::By::kLiftOff);
-  EXPECT_NE(series.frames[2].by, PatchRecord::By::kLiftOff);
+  EXPECT_EQ(series.frames[0].by, FramePatch::By::kLiftOff);
+  EXPECT_NE(series.frames[2].by, FramePatch::By::kLiftOff);
   EXPECT_FALSE(series.frames[2].problem.empty());
-  EXPECT_EQ(series.frames[3].by, PatchRecord::By::kNothing);
+  EXPECT_EQ(series.frames[3].by, FramePatch::By::kNothing);
   EXPECT_EQ(series.frames[3].problem, "it was dark");
   PatchSeriesOptions bad;
   bad.lift_off.power = 1;

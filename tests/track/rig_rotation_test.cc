@@ -8,7 +8,7 @@
 
 #include "calib/error.h"
 #include "fit/flat_contact.h"
-#include "support/tyre_frames.h"
+#include "tests/support/tyre_frames.h"
 #include "track/surface_plane.h"
 
 namespace plumbline {

@@ -1,0 +1,137 @@
+#include "track/rolling_contact.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+
+#include "calib/error.h"
+#include "io/virtual_rig/tyre_patch.h"
+#include "tests/track/lifted_wheel.h"
+
+namespace plumbline {
+namespace {
+
+using testing::ChainOf;
+using testing::kDegrees;
+using testing::LiftedWheel;
+using testing::LiftedWheelOptions;
+
+constexpr int kSubset = 17;
+
+// The braked tyre, seen by the rig that made the reference of a part of it.
+class RollingContactOfAnArc : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    LiftedWheel lifted(6, 6 * kDegrees);
+    WheelTracks tracks(lifted.rig(), ChainOf(lifted), LiftedWheelOptions());
+    std::vector<WheelFrameMatches> matches;
+    for (int f = 0; f < lifted.frames(); ++f) {
+      matches.push_back(tracks.Add(f, lifted.Pair(f).left, lifted.Pair(f).right));
+    }
+    reference_ = new WheelReference(MakeWheelReference(
+        lifted.rig(), tracks, matches, AdjustWheel(lifted.rig(), tracks.Problem())));
+    rolling_ = new LiftedWheel(Braked());
+    RollingSurveyOptions options;
+    options.matching.field.step_px = 6;
+    options.matching.field.correlator.subset_px = kSubset;
+    RollingSurvey survey(*reference_, options);
+    for (int f = 0; f < rolling_->frames(); ++f) {
+      (void)survey.Add(f, rolling_->virtual_rig().FrameTime(f), rolling_->Pair(f).left,
+                       rolling_->Pair(f).right);
+    }
+    survey_ = new RollingWheel(survey.Finish());
+  }
+  static void TearDownTestSuite() {
+    delete reference_;
+    delete rolling_;
+    delete survey_;
+  }
+
+  static Scenario Braked() {
+    Scenario scenario = LiftedWheel::ScenarioOf(7, 4 * kDegrees);
+    auto& tyre = std::get<TyreOptions>(scenario.surface);
+    tyre.lifted_mm = 0;
+    tyre.slip_ratio = -0.03;
+    scenario.seed = 9;
+    return scenario;
+  }
+  static RollingContactOptions Options() {
+    RollingContactOptions options;
+    // The true one, by place along the axis.
+    const VirtualRig& rig = rolling_->virtual_rig();
+    const auto truth = rig.Truth(0);
+    const Rigid3 wheel_from_ground =
+        reference_->axis.RigFromWheel(0).Inverse() * truth->ground_from_rig().Inverse();
+    for (double v = -110; v <= 110; v += 5) {
+      const TruePoint point = truth->OfMaterial({0, v});
+      options.carcass.y_mm.push_back(
+          (wheel_from_ground * (point.position_mm - point.displacement_mm)).y());
+      options.carcass.thickness_mm.push_back(rig.tyre()->CarcassThickness(v));
+    }
+    options.subset_px = kSubset;
+    return options;
+  }
+
+  static WheelReference* reference_;
+  static LiftedWheel* rolling_;
+  static RollingWheel* survey_;
+};
+
+WheelReference* RollingContactOfAnArc::reference_ = nullptr;
+LiftedWheel* RollingContactOfAnArc::rolling_ = nullptr;
+RollingWheel* RollingContactOfAnArc::survey_ = nullptr;
+
+TEST_F(RollingContactOfAnArc, TellsGroundDeformationPatchAndSlipOfEveryFrame) {
+  RollingContactOptions options = Options();
+  MeasuredScalar free_rolling;
+  free_rolling.value = 389;
+  free_rolling.sigma_random = 0.1;
+  options.free_rolling_radius_mm = free_rolling;
+  const RollingContact contact = FindRollingContact(*reference_, *survey_, options);
+  ASSERT_TRUE(contact.found) << contact.problem;
+  ASSERT_EQ(contact.frames.size(), 7U);
+  for (int f = 0; f < 7; ++f) {
+    const RollingContactFrame& frame = contact.frames[static_cast<std::size_t>(f)];
+    const VirtualRig& truth = rolling_->virtual_rig();
+    const double time = truth.FrameTime(f);
+    const WheelState wheel = rolling_->Wheel(f);
+    ASSERT_TRUE(frame.rotation.found) << frame.rotation.problem;
+    const Eigen::Vector3d normal = frame.rotation.ground.frame_from_rig.rotation.row(2);
+    const Eigen::Vector3d true_normal = truth.GroundFromRig(time).rotation.row(2);
+    EXPECT_LT(std::acos(std::min(1.0, normal.dot(true_normal))), 0.04 * kDegrees) << f;
+    const WheelDeformation& deformation = frame.deformation;
+    EXPECT_NEAR(deformation.loaded_radius_mm.value, wheel.centre_height_mm, 0.3);
+    EXPECT_NEAR(deformation.deflection_mm.value, 18, 0.3) << deformation.problem;
+    const auto patch = FindPatch(*rolling_->virtual_rig().tyre(), time);
+    ASSERT_TRUE(patch);
+    EXPECT_EQ(frame.patch.by, FramePatch::By::kLiftOff) << frame.patch.problem;
+    // A subset here is 15 mm wide, as is the rounding where the tyre lifts off: that ends early.
+    EXPECT_NEAR(frame.patch.patch.area_mm2 / patch->area_mm2, 0.9, 0.12);
+    ASSERT_TRUE(frame.slip.found) << frame.slip.problem;
+    EXPECT_NEAR(frame.slip.speed_mm_s.value / wheel.speed_mm_s, 1, 0.003);
+    EXPECT_NEAR(frame.slip.slip_angle_rad.value, 0, 0.2 * kDegrees);
+    EXPECT_NEAR(frame.slip.ratio.value, -0.03, 0.003);
+    EXPECT_GT(frame.slip.sticking, 20);
+  }
+}
+
+TEST_F(RollingContactOfAnArc, StandsAsTheUserSays) {
+  RollingContactOptions options = Options();
+  options.manual_turns_deg = Eigen::Vector3d(180, 0, 0);
+  const RollingContact contact = FindRollingContact(*reference_, *survey_, options);
+  ASSERT_TRUE(contact.found);
+  for (const RollingContactFrame& frame : contact.frames) {
+    EXPECT_NEAR(frame.rotation.ground.frame_from_rig.rotation(2, 2), -1, 1e-12);
+    EXPECT_EQ(frame.rotation.lean, 0);
+  }
+}
+
+TEST_F(RollingContactOfAnArc, RefusesACarcassWithoutThickness) {
+  RollingContactOptions options = Options();
+  options.carcass = {};
+  EXPECT_THROW((void)FindRollingContact(*reference_, *survey_, options), UsageError);
+}
+
+}  // namespace
+}  // namespace plumbline

@@ -1,0 +1,435 @@
+#include "track/rolling_contact.h"
+
+#include <Eigen/Geometry>
+#include <algorithm>
+#include <array>
+#include <cmath>
+#include <limits>
+#include <utility>
+
+#include "calib/error.h"
+#include "calib/median.h"
+#include "calib/mode_triangulation.h"
+#include "match/neighbour_correlation.h"
+#include "track/internal/axis_along_modes.h"
+
+namespace plumbline {
+namespace {
+
+constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+// How much the errors of a smoothed ground go together from frame to frame.
+constexpr double kAlike = 0.9;
+const Eigen::Vector3d kNowhere = Eigen::Vector3d::Constant(kNone);
+
+// The points of one frame on the survey's grid, in the rig frame.
+struct FramePoints {
+  double time_s = 0;
+  SurfacePoints now, undeformed;
+  Image<Eigen::Vector3d> material;  // angle (rad), place along the axis (mm), radius (mm)
+  Image<Eigen::Matrix3d> cov_mm2;
+  Image<double> thickness_mm;
+};
+
+// How a ground frame turns and shifts (as UncertainFrame tells it) with the pose of the rig.
+Eigen::Matrix<double, 6, 3> FrameAlongPose(const RigPose& pose, const WheelAxis& axis) {
+  constexpr double kStep = 1e-5;
+  const Rigid3 back = GroundOf(pose, axis).Inverse();
+  Eigen::Matrix<double, 6, 3> J;
+  for (int k = 0; k < 3; ++k) {
+    const Rigid3 moved = GroundOf(pose + kStep * RigPose::Unit(k), axis) * back;
+    J.col(k) << moved.RotationVector() / kStep, moved.translation_mm / kStep;
+  }
+  return J;
+}
+
+UncertainFrame GroundFrame(const RigRotationFrame& rotation, const WheelAxis& axis) {
+  UncertainFrame ground;
+  ground.frame_from_rig = rotation.ground.frame_from_rig;
+  ground.along_modes = rotation.ground.along_modes;
+  const Eigen::Matrix<double, 6, 3> J = FrameAlongPose(rotation.pose, axis);
+  ground.cov_random = J * rotation.cov_random * J.transpose();
+  return ground;
+}
+
+// Even-odd rule over all outlines: holes are outside.
+bool Inside(const std::vector<Polygon>& outlines, const Eigen::Vector2d& p) {
+  bool inside = false;
+  for (const Polygon& outline : outlines) {
+    for (std::size_t i = 0, j = outline.size() - 1; i < outline.size(); j = i++) {
+      const Eigen::Vector2d &a = outline[i], &b = outline[j];
+      if ((a.y() > p.y()) != (b.y() > p.y()) &&
+          p.x() < a.x() + (p.y() - a.y()) / (b.y() - a.y()) * (b.x() - a.x())) {
+        inside = !inside;
+      }
+    }
+  }
+  return inside;
+}
+
+Image<Eigen::Vector3d> Moved(Image<Eigen::Vector3d> points_mm, const Image<Eigen::Vector3f>& by) {
+  for (std::size_t i = 0; i < points_mm.pixel_count(); ++i) {
+    points_mm.data()[i] += by.data()[i].cast<double>();
+  }
+  return points_mm;
+}
+
+class ContactOfRun {
+ public:
+  ContactOfRun(const WheelReference& reference, const RollingWheel& rolling,
+               const RollingContactOptions& options)
+      : reference_(reference),
+        rolling_(rolling),
+        options_(options),
+        modes_(reference.rig),
+        axes_(internal::AxesAlongModes(reference)),
+        neighbours_(NeighbourCorrelation::OfOverlap(rolling.grid, rolling.spacing_px,
+                                                    options.subset_px, 1)) {
+    const double area =
+        std::pow(std::max(1.0, static_cast<double>(options.subset_px) / rolling.spacing_px), 2);
+    options_.flat.correlation_area_points = area;
+    options_.symmetry.correlation_area_points = area;
+    options_.patch.correlation_area_points = area;
+    options_.deformation.centre_y_mm =
+        std::isfinite(reference.profile.crown_y_mm) ? reference.profile.crown_y_mm : 0;
+  }
+
+  RollingContact Find();
+
+ private:
+  FramePoints PointsOf(std::size_t f) const;
+  void AddModes(std::size_t f, const std::vector<Eigen::Vector2d>& left,
+                const std::vector<Eigen::Vector2d>& right, FramePoints* out) const;
+  PoseObservation Observe(const FramePoints& points) const;
+  PoseObservation ObserveSymmetry(const FramePoints& points, const std::string& why) const;
+  void TurnByHand(RollingContact* contact) const;
+  void FindPatchesOf(RollingContact* contact) const;
+  MaterialFrame MaterialOf(std::size_t f, const RollingContact& contact) const;
+  Image<std::uint8_t> InContact(const FramePoints& points, const RollingContactFrame& frame) const;
+  void Deform(std::size_t f, RollingContact* contact) const;
+  void Slip(std::size_t f, RollingContact* contact) const;
+  bool Placed(std::size_t f) const {
+    return rolling_.frames[f].status == RollingFrameStatus::kPlaced;
+  }
+  double TimeOf(std::size_t f) const {
+    const RollingFrame& frame = rolling_.frames[f];
+    return clock_ ? frame.time_s : static_cast<double>(frame.index);
+  }
+  double SigmaOf(const FramePoints& points) const;
+  // The placed frame with a ground before (step -1) or after (1) this one; itself where none is.
+  std::size_t Beside(std::size_t f, int step, const RollingContact& contact) const;
+
+  const WheelReference& reference_;
+  const RollingWheel& rolling_;
+  RollingContactOptions options_;
+  ModeTriangulation modes_;
+  std::vector<WheelAxis> axes_;  // along the modes
+  NeighbourCorrelation neighbours_;
+  bool clock_ = true;
+};
+
+FramePoints ContactOfRun::PointsOf(std::size_t f) const {
+  const RollingFrame& frame = rolling_.frames[f];
+  const ImageSize size = rolling_.grid;
+  FramePoints out;
+  out.time_s = TimeOf(f);
+  out.now.point_mm = out.undeformed.point_mm = out.material =
+      Image<Eigen::Vector3d>(size, kNowhere);
+  out.now.cov_random_mm2 = out.undeformed.cov_random_mm2 =
+      Image<Eigen::Matrix<float, 6, 1>>(size, Eigen::Matrix<float, 6, 1>::Zero());
+  out.cov_mm2 = Image<Eigen::Matrix3d>(size, Eigen::Matrix3d::Constant(kNone));
+  const Rigid3 rig_from_wheel = reference_.axis.RigFromWheel(frame.angle_rad);
+  std::vector<Eigen::Vector2d> left, right;
+  for (const RollingPoint& p : frame.points) {
+    const int r = p.at.y(), c = p.at.x();
+    out.now.point_mm(r, c) = p.point_mm;
+    out.now.cov_random_mm2(r, c) = p.cov_random_mm2;
+    out.cov_mm2(r, c) = CovarianceOf(p.cov_random_mm2);
+    out.undeformed.point_mm(r, c) = rig_from_wheel * p.undeformed_mm;
+    out.material(r, c) = {MaterialAngle(p.undeformed_mm), p.undeformed_mm.y(),
+                          std::hypot(p.undeformed_mm.x(), p.undeformed_mm.z())};
+    left.push_back(p.left_px);
+    right.push_back(p.right_px);
+  }
+  out.thickness_mm = ThicknessOver(options_.carcass, out.undeformed.point_mm, reference_.axis);
+  AddModes(f, left, right, &out);
+  return out;
+}
+
+// Along a mode the points of the frame and of its view are both elsewhere, and so are the axis and
+// the angles of both.
+void ContactOfRun::AddModes(std::size_t f, const std::vector<Eigen::Vector2d>& left,
+                            const std::vector<Eigen::Vector2d>& right, FramePoints* out) const {
+  const RollingFrame& frame = rolling_.frames[f];
+  const WheelReferenceView& view = reference_.views[frame.view];
+  const std::size_t K = axes_.size(), n = frame.points.size();
+  if (K == 0) return;
+  const Rigid3 rig_from_view = reference_.axis.RigFromWheel(view.angle_rad);
+  std::vector<Eigen::Vector2d> view_left, view_right;
+  for (const RollingPoint& p : frame.points) {
+    const Eigen::Vector3d there = rig_from_view * p.undeformed_mm;
+    view_left.push_back(reference_.rig.left.Project(there));
+    view_right.push_back(reference_.rig.right.Project(reference_.rig.right_from_left * there));
+  }
+  std::vector<Eigen::Vector3f> moved(n * K), view_moved(n * K);
+  modes_.Differences(left, right, moved);
+  modes_.Differences(view_left, view_right, view_moved);
+  const ImageSize size = rolling_.grid;
+  for (std::size_t k = 0; k < K; ++k) {
+    const auto row = static_cast<Eigen::Index>(k);
+    Image<Eigen::Vector3f> now(size, Eigen::Vector3f::Zero()), undeformed = now;
+    const double then = view.angle_rad + reference_.angles_along_modes_rad(row, view.frame);
+    const double angle =
+        frame.angle_rad + rolling_.angle_along_modes_rad(row, static_cast<Eigen::Index>(f));
+    const Rigid3 turn = axes_[k].RigFromWheel(angle) * axes_[k].RigFromWheel(then).Inverse();
+    for (std::size_t i = 0; i < n; ++i) {
+      const RollingPoint& p = frame.points[i];
+      const int r = p.at.y(), c = p.at.x();
+      now(r, c) = moved[i * K + k];
+      const Eigen::Vector3d there =
+          turn * (rig_from_view * p.undeformed_mm + view_moved[i * K + k].cast<double>());
+      undeformed(r, c) = (there - out->undeformed.point_mm(r, c)).cast<float>();
+    }
+    out->now.along_modes_mm.push_back(std::move(now));
+    out->undeformed.along_modes_mm.push_back(std::move(undeformed));
+  }
+}
+
+// Of the points, along the ground's normal: about along the rig's z.
+double ContactOfRun::SigmaOf(const FramePoints& points) const {
+  std::vector<double> sigmas;
+  for (const Eigen::Matrix3d& cov : points.cov_mm2.values()) {
+    if (cov.allFinite()) sigmas.push_back(std::sqrt(cov(2, 2)));
+  }
+  return sigmas.empty() ? kNone : Median(std::move(sigmas));
+}
+
+PoseObservation ContactOfRun::Observe(const FramePoints& points) const {
+  std::string why;
+  const auto flat = FindFlatContact(points.now.point_mm, points.cov_mm2, points.thickness_mm,
+                                    reference_.axis, options_.flat, &why);
+  if (!flat) return ObserveSymmetry(points, why);
+  std::vector<GroundPlane> along;
+  for (const Image<Eigen::Vector3f>& mode : points.now.along_modes_mm) {
+    along.push_back(RefitFlatContact(*flat, Moved(points.now.point_mm, mode), points.cov_mm2,
+                                     points.thickness_mm));
+  }
+  return ObservePlane(points.time_s, flat->plane, reference_.axis, along, axes_);
+}
+
+PoseObservation ContactOfRun::ObserveSymmetry(const FramePoints& points,
+                                              const std::string& why) const {
+  PoseObservation nothing;
+  nothing.time_s = points.time_s;
+  std::string why_not;
+  const double sigma = SigmaOf(points);
+  const auto symmetry =
+      FindSymmetry(points.now.point_mm, sigma, reference_.axis, 0, options_.symmetry, &why_not);
+  if (!symmetry) {
+    nothing.why = why + "; " + why_not;
+    return nothing;
+  }
+  std::vector<double> along;
+  for (std::size_t k = 0; k < axes_.size(); ++k) {
+    const auto there = FindSymmetry(Moved(points.now.point_mm, points.now.along_modes_mm[k]), sigma,
+                                    axes_[k], 0, options_.symmetry);
+    along.push_back(there ? there->pitch_rad - symmetry->pitch_rad : 0);
+  }
+  PoseObservation pitch = ObservePitch(points.time_s, *symmetry, along);
+  pitch.why = why;
+  return pitch;
+}
+
+// The same pose in all frames, without error: that is what the user says.
+void ContactOfRun::TurnByHand(RollingContact* contact) const {
+  for (std::size_t f = 0; f < rolling_.frames.size(); ++f) {
+    RigRotationFrame& rotation = contact->frames[f].rotation;
+    rotation.time_s = TimeOf(f);
+    if (!Placed(f)) continue;
+    const Rigid3 ground =
+        ManualGround(*options_.manual_turns_deg, PointsOf(f).undeformed.point_mm, reference_.axis);
+    GroundPlane plane;
+    plane.normal = ground.rotation.row(2);
+    plane.offset_mm = -ground.translation_mm.z();
+    rotation.found = true;
+    rotation.from = RigRotationFrame::From::kPlane;
+    rotation.pose = PoseOf(plane, reference_.axis);
+    rotation.lean = 0;
+    rotation.ground.frame_from_rig = ground;
+    rotation.ground.along_modes.assign(axes_.size(), ground);
+    rotation.along_modes.assign(axes_.size(), RigPose::Zero());
+    contact->found = true;
+  }
+}
+
+void ContactOfRun::FindPatchesOf(RollingContact* contact) const {
+  std::vector<PatchFrame> frames;
+  std::vector<std::size_t> places;
+  PatchSeriesOptions options = options_.patch;
+  std::vector<double> sigmas;
+  for (std::size_t f = 0; f < rolling_.frames.size(); ++f) {
+    if (!Placed(f)) continue;
+    FramePoints points = PointsOf(f);
+    sigmas.push_back(SigmaOf(points));
+    frames.push_back({std::move(points.now.point_mm), std::move(points.undeformed.point_mm),
+                      std::move(points.thickness_mm), std::move(points.now.along_modes_mm),
+                      contact->frames[f].rotation});
+    places.push_back(f);
+  }
+  if (frames.empty()) return;
+  options.sigma_mm = Median(std::move(sigmas));
+  PatchSeries series = FindPatches(frames, reference_.axis, options);
+  contact->law = series.law;
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    contact->frames[places[i]].patch = std::move(series.frames[i]);
+  }
+}
+
+Image<std::uint8_t> ContactOfRun::InContact(const FramePoints& points,
+                                            const RollingContactFrame& frame) const {
+  Image<std::uint8_t> contact(rolling_.grid, 0);
+  for (std::size_t i = 0; i < contact.pixel_count(); ++i) {
+    const Eigen::Vector3d& p = points.now.point_mm.data()[i];
+    if (!p.allFinite() || frame.patch.by == FramePatch::By::kNothing) continue;
+    const Eigen::Vector3d there = frame.rotation.ground.frame_from_rig * p;
+    contact.data()[i] = Inside(frame.patch.patch.contours_mm, there.head<2>()) ? 1 : 0;
+  }
+  return contact;
+}
+
+MaterialFrame ContactOfRun::MaterialOf(std::size_t f, const RollingContact& contact) const {
+  FramePoints points = PointsOf(f);
+  MaterialFrame frame;
+  frame.time_s = points.time_s;
+  frame.contact = InContact(points, contact.frames[f]);
+  frame.points = std::move(points.now);
+  frame.material = std::move(points.material);
+  frame.ground = GroundFrame(contact.frames[f].rotation, reference_.axis);
+  return frame;
+}
+
+void ContactOfRun::Deform(std::size_t f, RollingContact* contact) const {
+  RollingContactFrame& out = contact->frames[f];
+  FramePoints points = PointsOf(f);
+  LoadedWheel wheel;
+  wheel.contact = InContact(points, out);
+  wheel.loaded = std::move(points.now);
+  wheel.undeformed = std::move(points.undeformed);
+  wheel.sigma_angle_rad =
+      std::hypot(rolling_.frames[f].sigma_random_rad, rolling_.sigma_common_rad);
+  wheel.axis = reference_.axis;
+  wheel.cov_axis_random = reference_.cov_axis_random;
+  wheel.axis_along_modes = reference_.axis_along_modes;
+  wheel.ground = GroundFrame(out.rotation, reference_.axis);
+  out.deformation = MeasureDeformation(wheel, neighbours_, options_.deformation);
+}
+
+std::size_t ContactOfRun::Beside(std::size_t f, int step, const RollingContact& contact) const {
+  const auto next = static_cast<std::ptrdiff_t>(f) + step;
+  if (next < 0 || next >= static_cast<std::ptrdiff_t>(rolling_.frames.size())) return f;
+  const auto beside = static_cast<std::size_t>(next);
+  return Placed(beside) && contact.frames[beside].rotation.found ? beside : f;
+}
+
+void ContactOfRun::Slip(std::size_t f, RollingContact* contact) const {
+  RollingContactFrame& out = contact->frames[f];
+  const std::size_t b = Beside(f, -1, *contact), a = Beside(f, 1, *contact);
+  if (!clock_) {
+    out.slip.problem = "the frames have no times";
+    return;
+  }
+  if (a == f && b == f) {
+    out.slip.problem = "no frame beside this one is placed over the ground";
+    return;
+  }
+  const MaterialFrame now = MaterialOf(f, *contact);
+  const MaterialFrame before = b == f ? MaterialFrame() : MaterialOf(b, *contact);
+  const MaterialFrame after = a == f ? MaterialFrame() : MaterialOf(a, *contact);
+  const FrameTriple triple{b == f ? nullptr : &before, &now, a == f ? nullptr : &after};
+  MaterialVelocityOptions options;
+  options.ground_correlation = kAlike;
+  const MaterialVelocity velocity = VelocityOfMaterial(triple, neighbours_, options);
+  WheelTurning wheel;
+  wheel.axis = reference_.axis;
+  wheel.cov_axis_random = reference_.cov_axis_random;
+  wheel.axis_along_modes = reference_.axis_along_modes;
+  const RollingFrame& frame = rolling_.frames[f];
+  wheel.speed_rad_s.value = frame.speed_rad_s;
+  wheel.speed_rad_s.sigma_random = frame.sigma_random_rad_s;
+  wheel.speed_rad_s.along_modes =
+      rolling_.speed_along_modes_rad_s.col(static_cast<Eigen::Index>(f));
+  std::optional<MeasuredScalar> channel;
+  if (options_.vehicle_speed_mm_s) {
+    const double averaging = (a == f ? now : after).time_s - (b == f ? now : before).time_s;
+    channel = SpeedFromChannel(*options_.vehicle_speed_mm_s, frame.time_s, averaging,
+                               options_.channel_clock, options_.sigma_vehicle_speed_mm_s);
+  }
+  const Eigen::Vector3f none = Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN());
+  out.sigma_random_mm_s = out.sigma_calibration_mm_s =
+      Image<Eigen::Vector3f>(velocity.size(), none);
+  for (std::size_t i = 0; i < velocity.value_mm_s.pixel_count(); ++i) {
+    const Eigen::Matrix<float, 6, 1>& cov = velocity.cov_random_mm2_s2.data()[i];
+    out.sigma_random_mm_s.data()[i] = Eigen::Vector3f(cov[0], cov[3], cov[5]).cwiseSqrt();
+    if (velocity.along_modes_mm_s.empty()) continue;
+    Eigen::Vector3f variance = Eigen::Vector3f::Zero();
+    for (const auto& mode : velocity.along_modes_mm_s) variance += mode.data()[i].cwiseAbs2();
+    out.sigma_calibration_mm_s.data()[i] = variance.cwiseSqrt();
+  }
+  out.slip = MeasureSlip(velocity, triple, wheel, now.contact, neighbours_,
+                         options_.free_rolling_radius_mm, channel, options_.slip);
+}
+
+RollingContact ContactOfRun::Find() {
+  const std::size_t count = rolling_.frames.size();
+  RollingContact contact;
+  contact.frames.resize(count);
+  for (const RollingFrame& frame : rolling_.frames) clock_ = clock_ && std::isfinite(frame.time_s);
+  if (options_.manual_turns_deg) {
+    TurnByHand(&contact);
+  } else {
+    std::vector<PoseObservation> observations;
+    for (std::size_t f = 0; f < count; ++f) {
+      PoseObservation observation;
+      observation.time_s = TimeOf(f);
+      observation.why = rolling_.frames[f].problem;
+      observations.push_back(Placed(f) ? Observe(PointsOf(f)) : std::move(observation));
+    }
+    const RigRotation rotation =
+        SmoothRigRotation(observations, reference_.axis, axes_, options_.rotation);
+    contact.found = rotation.found;
+    contact.problem = rotation.problem;
+    for (std::size_t f = 0; f < count; ++f) contact.frames[f].rotation = rotation.frames[f];
+  }
+  FindPatchesOf(&contact);
+  for (std::size_t f = 0; f < count; ++f) {
+    RollingContactFrame& frame = contact.frames[f];
+    if (!Placed(f) || !frame.rotation.found) {
+      frame.patch.problem = frame.slip.problem = frame.deformation.problem =
+          Placed(f) ? frame.rotation.problem : rolling_.frames[f].problem;
+      continue;
+    }
+    Deform(f, &contact);
+    Slip(f, &contact);
+  }
+  return contact;
+}
+
+}  // namespace
+
+void RollingContactOptions::Check() const {
+  carcass.Check();
+  flat.Check();
+  symmetry.Check();
+  rotation.Check();
+  patch.Check();
+  slip.Check();
+  deformation.Check();
+  if (subset_px < 3) throw UsageError("The survey's subset has to be known.");
+}
+
+RollingContact FindRollingContact(const WheelReference& reference, const RollingWheel& rolling,
+                                  const RollingContactOptions& options) {
+  options.Check();
+  return ContactOfRun(reference, rolling, options).Find();
+}
+
+}  // namespace plumbline

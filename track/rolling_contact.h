@@ -1,0 +1,71 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "fit/carcass_thickness.h"
+#include "fit/deformation_symmetry.h"
+#include "fit/flat_contact.h"
+#include "track/patch_series.h"
+#include "track/rig_rotation.h"
+#include "track/rolling_slip.h"
+#include "track/rolling_survey.h"
+#include "track/wheel_deformation.h"
+#include "track/wheel_reference.h"
+
+namespace plumbline {
+
+struct RollingContactOptions {
+  CarcassThickness carcass;  // the cameras do not see it
+  FlatContactOptions flat;
+  SymmetryOptions symmetry;
+  RigRotationOptions rotation;
+  PatchSeriesOptions patch;  // noise and correlation are those of the points
+  RollingSlipOptions slip;
+  WheelDeformationOptions deformation;
+  int subset_px = 21;  // of the survey: how far neighbours go together
+  // The ground by hand in place of the planes: turns about the rig's x, y, z (ManualGround()).
+  std::optional<Eigen::Vector3d> manual_turns_deg;
+  // Travel a radian at zero slip, and its sigma; and the vehicle's speed by a channel.
+  std::optional<MeasuredScalar> free_rolling_radius_mm;
+  std::optional<SampledSignal> vehicle_speed_mm_s;
+  ClockOffset channel_clock;
+  double sigma_vehicle_speed_mm_s = 0;
+
+  // Throws UsageError naming the broken constraint.
+  void Check() const;
+};
+
+// What a frame says of the ground and of its contact with the tyre. What was not found says why.
+struct RollingContactFrame {
+  RigRotationFrame rotation;
+  FramePatch patch;
+  RollingSlip slip;
+  // Of slip.over_ground_mm_s, by component.
+  Image<Eigen::Vector3f> sigma_random_mm_s, sigma_calibration_mm_s;
+  WheelDeformation deformation;
+};
+
+struct RollingContact {
+  bool found = false;                       // the ground, in any frame
+  std::string problem;                      // why not
+  std::vector<RollingContactFrame> frames;  // as RollingWheel::frames
+  std::optional<LiftOffLaw> law;
+};
+
+// From the points of a survey to how the rig stands over the ground, where the tyre touches it, how
+// it is deformed and how it slips, frame by frame:
+//
+//   points -> plane of the flat contact, or symmetry -> smoothed rotation of the rig -> ground
+//          -> contact patch (law of lift-off), deformation, velocity of the material, slip
+//
+// Ground frames of frames in a row, as a smoother leaves them, are taken to err alike.
+// Throws UsageError from the options, InputError as FindFlatContact and SmoothRigRotation.
+// Accuracy: tests/track/rolling_contact_test.cc.
+[[nodiscard]] RollingContact FindRollingContact(const WheelReference& reference,
+                                                const RollingWheel& rolling,
+                                                const RollingContactOptions& options);
+
+}  // namespace plumbline
