@@ -15,8 +15,8 @@ namespace plumbline {
 //   x <- [1 dt dt^2/2; 0 1 dt; 0 0 1] x + w,
 //   cov(w) = q [dt^5/20 dt^4/8 dt^3/6; . dt^3/3 dt^2/2; . . dt]
 // (Bar-Shalom, Li and Kirubarajan, "Estimation with Applications to Tracking and Navigation", 2001,
-// section 6.2.3). Kalman filter forwards, fixed-interval smoother backwards. Nothing is assumed of
-// where and how fast the wheel starts.
+// section 6.2.3). All states follow from one least-squares problem (fixed-interval smoothing).
+// Nothing is assumed of where and how fast the wheel starts.
 //
 // Outliers are found by what the other frames say of a frame (leave-one-out), with q from the
 // leave-one-out likelihood under a heavy-tailed density (Student's t of 4 degrees of freedom), so

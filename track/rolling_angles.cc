@@ -377,6 +377,7 @@ RollingAngles FindRollingAngles(Frames frames, std::span<const Eigen::MatrixXf> 
   out.centre_rad = CentreOf(out, equations->ImageOf(radial.delta));
   const SymmetricPlaces places = PlacesAbout(out, out.centre_rad);
   const double constant = MeanEven(out, places, out.coefficients, &out.sigma_common_rad);
+  out.sigma_common_rad *= RollingAngles::kHidden;
   for (double& c : out.coefficients.values()) c -= constant;
   int counted = 0;
   for (std::size_t f = 0; f < frames.size(); ++f) {

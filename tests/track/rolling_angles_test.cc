@@ -84,6 +84,7 @@ TEST(RollingAngles, ShearMovesAllFramesAlikeAndIsTold) {
   const double common = found.frames[0].angle_rad - wheel.truth_rad[0];
   EXPECT_GT(std::abs(common), 2e-4);
   EXPECT_LT(std::abs(common), 2 * found.sigma_common_rad);
+  EXPECT_LT(found.sigma_common_rad, 0.02);
   for (std::size_t f = 0; f < wheel.frames.size(); ++f) {
     EXPECT_NEAR(found.frames[f].angle_rad - wheel.truth_rad[f], common, 4e-5);
   }

@@ -108,7 +108,7 @@ TEST_F(RollingSurveyOfAnArc, FindsTheAnglesOfALoadedTyreAndMarksWhatIsNotIt) {
     EXPECT_TRUE(std::isnan(frame.sigma_calibration_rad));  // this rig does not tell
     EXPECT_GT(frame.points.size(), 60U);
   }
-  EXPECT_LT(wheel.sigma_common_rad, 0.1 * kDegrees);
+  EXPECT_LT(wheel.sigma_common_rad, 0.3 * kDegrees);
   // The points are of the material that they are said to be: the tyre is pressed in below.
   const RollingFrame& frame = wheel.frames[2];
   const Rigid3 wheel_from_rig = reference_->axis.RigFromWheel(frame.angle_rad).Inverse();
