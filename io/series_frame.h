@@ -39,6 +39,7 @@ struct SeriesContents {
   bool rig_watch = false;     // /rig_watch
   bool rig_rotation = false;  // /rig_rotation
   bool deformation = false;   // /deformation
+  bool material = false;      // /material
 
   friend bool operator==(const SeriesContents&, const SeriesContents&) = default;
 };
@@ -104,6 +105,12 @@ struct DisplacementField {
   Image<Eigen::Vector3f> value_mm;
   Image<Eigen::Vector3f> sigma_random_mm;
   Image<Eigen::Vector3f> sigma_calibration_mm;
+};
+
+// Which material the points are, as /material holds it: their places on the undeformed wheel, in
+// the wheel frame of its reference. Under the rules of DisplacementField.
+struct MaterialField {
+  Image<Eigen::Vector3f> position_mm;
 };
 
 // The velocity of the points, as /velocity holds it, in Surface::frame; under the rules of
@@ -225,6 +232,7 @@ struct SeriesFrame {
   RigWatchRecord rig_watch;
   RigRotationRecord rig_rotation;
   DeformationRecord deformation;
+  MaterialField material;
 };
 
 }  // namespace plumbline

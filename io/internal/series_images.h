@@ -108,6 +108,9 @@ void VisitImage(Frame& frame, const PointField& field, const Visit& visit) {
     }
     case kMatch:
       return VisitMatch(frame.match, field.part, visit);
+    case kMaterial:
+      if (field.part == PointPart::kValue) visit(frame.material.position_mm);
+      return;
     case kStrain:
       return VisitStrain(frame.strain, field.part, visit);
     default:

@@ -23,7 +23,8 @@ constexpr std::uint32_t kAlways = 0, kWithCovariance = BitOf(&SeriesContents::co
                         kStrained = BitOf(&SeriesContents::strain),
                         kSlipped = BitOf(&SeriesContents::slip),
                         kMoving = BitOf(&SeriesContents::velocity),
-                        kMatched = BitOf(&SeriesContents::matches);
+                        kMatched = BitOf(&SeriesContents::matches),
+                        kOfMaterial = BitOf(&SeriesContents::material);
 
 constexpr std::array<PointGroupFacts, kPointGroupCount> kGroups = {{
     {"/surface", "position", "position", kAlways, true, true},
@@ -31,6 +32,7 @@ constexpr std::array<PointGroupFacts, kPointGroupCount> kGroups = {{
     {"/slip", "velocity", "velocity", kSlipped, true, false},
     {"/velocity", "value", "velocity", kMoving, true, false},
     {"/match", "left_displacement", "match", kMatched, false, false},
+    {"/material", "position", "place on the undeformed wheel", kOfMaterial, false, false},
     {"/strain", "value", "strain", kStrained, false, true},
 }};
 
@@ -105,6 +107,8 @@ constexpr std::array kFields = {
       "share of left_covariance that comes from the noise of the reference image", kMatched},
     F{kMatch, Part::kRightShare, "/match/right_share", &kOneNumber, "1",
       "share of right_covariance that comes from the noise of the reference image", kMatched},
+    F{kMaterial, Part::kValue, "/material/position", &kXyz, "mm",
+      "place of the point on the undeformed wheel, in the wheel frame", kOfMaterial},
     Renamed({kStrain, Part::kValue, "/strain/value", &kPlaneTensor, "1",
              "strain in the local axes of the surface, of the group's measure: xx, yy, xy (tensor "
              "shear)",

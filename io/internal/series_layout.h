@@ -16,7 +16,7 @@ namespace plumbline::internal {
 using ContentFlag = bool SeriesContents::*;
 template <>
 struct OptionalContents<SeriesContents> {
-  static constexpr std::array<OptionalContent<SeriesContents>, 12> list = {{
+  static constexpr std::array<OptionalContent<SeriesContents>, 13> list = {{
       {"covariance", "/surface/covariance", &SeriesContents::covariance},
       {"displacement", "/displacement", &SeriesContents::displacement},
       {"strain", "/strain", &SeriesContents::strain},
@@ -29,6 +29,7 @@ struct OptionalContents<SeriesContents> {
       {"rig_watch", "/rig_watch", &SeriesContents::rig_watch},
       {"rig_rotation", "/rig_rotation", &SeriesContents::rig_rotation},
       {"deformation", "/deformation", &SeriesContents::deformation},
+      {"material", "/material", &SeriesContents::material},
   }};
 };
 
@@ -44,11 +45,12 @@ enum PointGroup : std::uint8_t {
   kSlip,
   kVelocity,
   kMatch,
+  kMaterial,
   kStrain,
   kPointGroupCount
 };
 
-// Of points: /surface, /displacement, /slip, /velocity, /match, /strain.
+// Of points: /surface, /displacement, /slip, /velocity, /match, /material, /strain.
 const PointLayout& StereoPoints();
 
 SeriesShape StereoShape(ImageSize grid, const SeriesContents& contents);

@@ -231,6 +231,7 @@ inline void ExpectSameFrame(const SeriesFrame& a, const SeriesFrame& b) {
   ExpectSameStrain(a.strain, b.strain);
   ExpectSameMatch(a.match, b.match);
   ExpectSamePoints(a.velocity.value_mm_s, b.velocity.value_mm_s);
+  ExpectSamePoints(a.material.position_mm, b.material.position_mm);
   ExpectSamePoints(a.velocity.sigma_random_mm_s, b.velocity.sigma_random_mm_s);
   ExpectSamePoints(a.velocity.sigma_calibration_mm_s, b.velocity.sigma_calibration_mm_s);
   ExpectSameGround(a.ground, b.ground);

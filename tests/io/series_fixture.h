@@ -84,7 +84,7 @@ inline SeriesFrame SmallFrame(std::int64_t i, ImageSize grid = {7, 5}) {
 // A header with every optional group.
 inline SeriesHeader FullHeader(ImageSize grid = {7, 5}) {
   SeriesHeader header = SmallHeader(grid);
-  header.contents = {true, true, true, true, true, true, true, true, true, true, true, true};
+  header.contents = {true, true, true, true, true, true, true, true, true, true, true, true, true};
   header.grid_points = "material";
   header.displacement_reference = "frame 10";
   header.rigid_motion_removed = true;
@@ -121,7 +121,7 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
       grid, Eigen::Matrix2f::Constant(std::numeric_limits<float>::quiet_NaN()));
   m.left_cov_px2 = m.right_cov_px2 = none;
   v.value_mm_s = v.sigma_random_mm_s = v.sigma_calibration_mm_s = none;
-  u.value_mm = u.sigma_random_mm = u.sigma_calibration_mm = none;
+  u.value_mm = u.sigma_random_mm = u.sigma_calibration_mm = frame.material.position_mm = none;
   e.value = e.sigma_random = e.sigma_calibration = none;
   slip.velocity_mm_s = slip.sigma_random_mm_s = slip.sigma_calibration_mm_s = none;
   for (std::size_t k = 0; k < none.pixel_count(); ++k) {
@@ -129,6 +129,7 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
     if (k == 1 || frame.surface.status.data()[k] != Status::kOk) continue;
     const Eigen::Vector3f& p = frame.surface.position_mm.data()[k];
     u.value_mm.data()[k] = 0.1f * p;
+    frame.material.position_mm.data()[k] = 0.9f * p;
     u.sigma_random_mm.data()[k] = Eigen::Vector3f(0.3f, 0.4f, 0.5f);
     u.sigma_calibration_mm.data()[k] = Eigen::Vector3f(0.4f, 0.3f, 1.2f);
     e.value.data()[k] = Eigen::Vector3f(1e-3f * p.x(), -2e-3f, 5e-4f * p.y());

@@ -109,7 +109,8 @@ TEST(SeriesGroups, AreEachOptional) {
        {&SeriesContents::covariance, &SeriesContents::displacement, &SeriesContents::strain,
         &SeriesContents::wheel, &SeriesContents::patch, &SeriesContents::slip,
         &SeriesContents::matches, &SeriesContents::velocity, &SeriesContents::rigid_motion,
-        &SeriesContents::rig_watch, &SeriesContents::rig_rotation, &SeriesContents::deformation}) {
+        &SeriesContents::rig_watch, &SeriesContents::rig_rotation, &SeriesContents::deformation,
+        &SeriesContents::material}) {
     SeriesHeader header = SmallHeader();
     header.contents.*flag = true;
     const fs::path file = folder / (Names(header.contents).at(0) + ".h5");
@@ -122,6 +123,7 @@ TEST(SeriesGroups, AreEachOptional) {
     EXPECT_EQ(frame.wheel.found, header.contents.wheel);
     EXPECT_EQ(!frame.match.right_gradient.empty(), header.contents.matches);
     EXPECT_EQ(!frame.velocity.value_mm_s.empty(), header.contents.velocity);
+    EXPECT_EQ(!frame.material.position_mm.empty(), header.contents.material);
     EXPECT_EQ(!frame.strain.status.empty(), header.contents.strain);
     EXPECT_EQ(frame.rigid_motion.found, header.contents.rigid_motion);
     EXPECT_EQ(frame.rig_watch.found, header.contents.rig_watch);
@@ -299,13 +301,15 @@ TEST(SeriesGroups, AreNamedInTheSummary) {
   Write(file, header, {FullFrame(0)});
   EXPECT_THAT(
       Inspect(file).Text(),
-      HasSubstr("also holds: covariance, displacement, strain, patch, slip, matches, velocity, "
-                "rigid_motion, rig_watch, rig_rotation, deformation, channels (Fz, empty)\n"));
+      HasSubstr(
+          "also holds: covariance, displacement, strain, patch, slip, matches, velocity, "
+          "rigid_motion, rig_watch, rig_rotation, deformation, material, channels (Fz, empty)\n"));
   Write(TestFolder() / "plain.h5", SmallHeader(), {SmallFrame(0)});
   EXPECT_THAT(Inspect(TestFolder() / "plain.h5").Text(), ::testing::Not(HasSubstr("also")));
-  EXPECT_THAT(Names(header.contents),
-              ElementsAre("covariance", "displacement", "strain", "patch", "slip", "matches",
-                          "velocity", "rigid_motion", "rig_watch", "rig_rotation", "deformation"));
+  EXPECT_THAT(
+      Names(header.contents),
+      ElementsAre("covariance", "displacement", "strain", "patch", "slip", "matches", "velocity",
+                  "rigid_motion", "rig_watch", "rig_rotation", "deformation", "material"));
 }
 
 TEST(PrincipalStrain, IsThatOfMohrsCircle) {

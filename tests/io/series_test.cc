@@ -299,7 +299,7 @@ assert f.attrs['format'] == 'plumbline-series' and f.attrs['format_version'] == 
 for name in ('created', 'software', 'recipe', 'inputs'): assert name in f.attrs, name
 assert count > 200, count
 check_nexus('surface', 'grid', 'frames', 'ground', 'displacement', 'strain', 'wheel', 'patch', 'slip', 'channels/Fz',
-            'match', 'velocity', 'rigid_motion', 'rig_watch', 'rig_rotation', 'deformation')
+            'match', 'velocity', 'rigid_motion', 'rig_watch', 'rig_rotation', 'deformation', 'material')
 p, s = f['surface/position'], f['surface/status']
 assert p.shape == (3, 5, 7, 3) and p.chunks == (1, 5, 7, 3) and p.shuffle and p.compression_opts == 1
 assert np.isnan(p.fillvalue)
