@@ -10,6 +10,8 @@
 #include <utility>
 #include <vector>
 
+#include "apps/internal/body_motion.h"
+#include "apps/internal/correlation_area.h"
 #include "apps/internal/finite_median.h"
 #include "apps/internal/ground_record.h"
 #include "apps/internal/plane_points.h"
@@ -48,26 +50,6 @@ Eigen::Vector3d ParseDirection(const std::string& text) {
     throw UsageError("The direction of the strain's x axis has no length.");
   }
   return direction.normalized();
-}
-
-// How many points share one noise: the sum of the correlations of one point with all others, the
-// mean over the field.
-double CorrelationArea(const NeighbourCorrelation& neighbours, ImageSize grid) {
-  constexpr int kSamples = 12;  // along each axis
-  double sum = 0;
-  int count = 0;
-  const int reach = neighbours.reach();
-  for (int r = 0; r < grid.height; r += std::max(1, grid.height / kSamples)) {
-    for (int c = 0; c < grid.width; c += std::max(1, grid.width / kSamples)) {
-      for (int dr = -reach; dr <= reach; ++dr) {
-        for (int dc = -reach; dc <= reach; ++dc) {
-          sum += static_cast<double>(neighbours.Between(r, c, dr, dc).trace()) / 2;
-        }
-      }
-      ++count;
-    }
-  }
-  return std::max(1.0, sum / std::max(1, count));
 }
 
 // Of the components of those vectors that are whole.
@@ -120,6 +102,9 @@ struct SurfaceEvaluation::Impl {
                                                        const SurfaceState& instant,
                                                        const Image<Eigen::Vector3f>& unit,
                                                        const SurfaceMotion* motion) const;
+  void AddMotion(const StereoSurface& surface, const SurfaceState& instant,
+                 const SurfaceMotion& motion, const Image<Eigen::Vector3f>& of_match, double time_s,
+                 SeriesFrame& out);
   SeriesFrame FrameOf(const StereoField& field, const StereoSurface& surface,
                       const SurfaceState& instant, const Image<Eigen::Vector3f>& unit,
                       const SurfaceMotion* motion) const;
@@ -158,7 +143,7 @@ SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCo
   watch_stride =
       std::max(1, (reference.left.subset_px + reference.left.step_px - 1) / reference.left.step_px);
   plane_stride = std::max(1, reference.left.subset_px / (2 * reference.left.step_px));
-  correlation_area = CorrelationArea(neighbours, grid);
+  correlation_area = internal::CorrelationArea(neighbours, grid);
   options.ground.correlation_area_points = 1;
   unit = UnitCovariance(reference, reference);
   const internal::RigWatch::Verdict verdict =
@@ -286,6 +271,11 @@ std::optional<GroundPlane> SurfaceEvaluation::Impl::PlaneOf(
 // rig frame the rigid motion that a mode gives to all points at once is taken out, as it says
 // nothing about the surface.
 void SurfaceEvaluation::Impl::ChooseFrame(const SurfaceState& in_rig) {
+  if (options.known_frame) {
+    frame = *options.known_frame;
+    frame.along_modes.resize(in_rig.along_modes_mm.size(), frame.frame_from_rig);
+    return;
+  }
   std::vector<GroundPlane> along_modes;
   plane = PlaneOf(in_rig, unit, ground, &along_modes);
   if (plane && options.turn_into_ground_frame) {
@@ -419,7 +409,29 @@ SeriesFrame SurfaceEvaluation::EvaluateReference(double time_s) {
   return out;
 }
 
-SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s) {
+// What has no body to count from: plane, rigid motion and velocity of the surface itself.
+void SurfaceEvaluation::Impl::AddMotion(const StereoSurface& surface, const SurfaceState& instant,
+                                        const SurfaceMotion& motion,
+                                        const Image<Eigen::Vector3f>& of_match, double time_s,
+                                        SeriesFrame& out) {
+  PlaneOf(surface.instant, of_match, out.ground, nullptr);
+  if (out.ground.found) out.ground.ground_from_rig = frame.frame_from_rig;
+  const SurfaceRigidMotion rigid =
+      RigidMotionBetween(at_reference, instant, motion, correlation_area);
+  out.rigid_motion = internal::RigidRecordOf(rigid);
+  if (options.remove_rigid_motion && rigid.found) {
+    out.displacement =
+        internal::DisplacementRecordOf(WithoutRigidMotion(at_reference, instant, motion, rigid));
+  }
+  if (previous && time_s > previous->time_s) {
+    out.velocity = internal::VelocityRecordOf(
+        MotionBetween(previous->instant, instant, previous->unit), time_s - previous->time_s);
+  }
+  previous = {instant, of_match, time_s};
+}
+
+SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s,
+                                        const BodyMotion* body) {
   Impl& impl = *impl_;
   const Image<Eigen::Vector3f> unit = UnitCovariance(impl.reference, field);
   const internal::RigWatch::Verdict verdict =
@@ -434,27 +446,18 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s)
     return out;
   }
   const SurfaceState instant = InFrame(surface.instant, impl.frame);
-  const SurfaceMotion motion = MotionBetween(impl.at_reference, instant, impl.unit);
+  const SurfaceMotion motion =
+      body == nullptr ? MotionBetween(impl.at_reference, instant, impl.unit)
+                      : internal::MotionFromBody(impl.at_reference,
+                                                 internal::UndeformedNow(impl.at_reference, *body),
+                                                 instant, impl.unit, *body);
   SeriesFrame out = impl.FrameOf(field, surface, instant, unit, &motion);
   out.rig_watch = verdict.record;
-  impl.PlaneOf(surface.instant, unit, out.ground, nullptr);
-  if (out.ground.found) out.ground.ground_from_rig = impl.frame.frame_from_rig;
-  const SurfaceRigidMotion rigid =
-      RigidMotionBetween(impl.at_reference, instant, motion, impl.correlation_area);
-  out.rigid_motion = internal::RigidRecordOf(rigid);
-  out.displacement = internal::DisplacementRecordOf(
-      impl.options.remove_rigid_motion && rigid.found
-          ? WithoutRigidMotion(impl.at_reference, instant, motion, rigid)
-          : motion);
-  if (impl.previous && time_s > impl.previous->time_s) {
-    out.velocity = internal::VelocityRecordOf(
-        MotionBetween(impl.previous->instant, instant, impl.previous->unit),
-        time_s - impl.previous->time_s);
-  }
   if (impl.gauges) {
     out.strain = internal::StrainRecordOf(impl.gauges->Strain(instant, surface.status));
   }
-  impl.previous = {instant, unit, time_s};
+  out.displacement = internal::DisplacementRecordOf(motion);
+  if (body == nullptr) impl.AddMotion(surface, instant, motion, unit, time_s, out);
   return out;
 }
 

@@ -5,6 +5,7 @@
 #include <memory>
 #include <optional>
 #include <string>
+#include <vector>
 
 #include "calib/stereo_rig.h"
 #include "fit/ground_plane.h"
@@ -29,6 +30,9 @@ struct SurfaceEvaluationOptions {
   // Positions and displacements are told in the ground frame of the reference pair, where a plane
   // is found in it; else, or with false, in the rig frame.
   bool turn_into_ground_frame = true;
+  // The frame that positions are told in, where that is known beforehand: then no plane is looked
+  // for in the reference pair. Its modes are those of the rig.
+  std::optional<MeasurementFrame> known_frame = {};
   bool strain = true;
   // x_direction is set from strain_axes.
   SurfaceStrainOptions strain_options;
@@ -42,6 +46,16 @@ struct SurfaceEvaluationOptions {
 
   // Throws UsageError naming the broken constraint.
   void Check() const;
+};
+
+// The motion of a body since the reference pair, in the frame that positions are told in, where
+// that is known: a wheel has turned. Displacements then count from the undeformed body at its place
+// of this moment.
+struct BodyMotion {
+  MeasurementFrame now_from_reference;  // along the modes of the rig too
+  // The motion when one cause is off by one sigma: those of noise, independent of each other, and
+  // those that all frames have in common, beside the modes.
+  std::vector<Rigid3> random, common;
 };
 
 // Numbers that sum one frame up, for people: medians over the valid points; NaN without any. Sigmas
@@ -73,8 +87,9 @@ class SurfaceEvaluation {
   SeriesHeader Header() const;
 
   // The points of one pair; time_s in the recording (NaN: no velocity). All of the frame but its
-  // index, ids and problem. A frame without a valid point comes back with a problem.
-  SeriesFrame Evaluate(const StereoField& field, double time_s);
+  // index, ids and problem. A frame without a valid point comes back with a problem. With a body's
+  // motion there is no ground plane, velocity or rigid motion.
+  SeriesFrame Evaluate(const StereoField& field, double time_s, const BodyMotion* body = nullptr);
 
   // The reference pair itself: at rest by definition, without error.
   SeriesFrame EvaluateReference(double time_s);

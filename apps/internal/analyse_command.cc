@@ -150,6 +150,12 @@ ReferenceMatches ReferenceOf(const SeriesReader& series, const std::string& file
         "with --matcher dic.",
         file));
   }
+  if (series.displacement_reference() == "wheel") {
+    throw InputError(fmt::format(
+        "'{}' is of a tyre measured against its wheel, each frame with another reference image; "
+        "measure again with the other settings.",
+        file));
+  }
   if (std::optional<ReferenceMatches> reference = series.reference()) return std::move(*reference);
   // Older files hold them in that pair's own frame alone.
   for (std::int64_t i = 0; i < series.frame_count(); ++i) {

@@ -34,11 +34,13 @@ void FieldOptionSet::Declare(OptionTable& options, bool noise_file) {
                .min = 5,
                .max = 255},
               &correlator_.subset_px);
-  options.Add({.name = "order",
-               .help = "of the shape function: 0 shift, 1 affine, 2 quadratic",
-               .min = 0,
-               .max = 2},
-              &correlator_.order);
+  options.Add(
+      {.name = "order",
+       .help = "of the shape function: 0 shift, 1 affine, 2 quadratic; auto: 1, of a rolling "
+               "tyre 2",
+       .min = 0,
+       .max = 2},
+      &order_);
   options.Add({.name = "shape", .help = "of the subsets", .choices = {"square", "circle"}},
               &shape_);
   options.Add({.name = "interpolation",
@@ -82,6 +84,7 @@ void FieldOptionSet::Declare(OptionTable& options, bool noise_file) {
 FieldOptions FieldOptionSet::Options(std::uint64_t seed) const {
   FieldOptions options;
   options.correlator = correlator_;
+  options.correlator.order = order_.value_or(CorrelatorOptions().order);
   options.correlator.shape = shape_ == "circle" ? SubsetShape::kCircle : SubsetShape::kSquare;
   options.image.interpolation =
       interpolation_ == "cubic" ? Interpolation::kCubic : Interpolation::kQuintic;

@@ -26,10 +26,12 @@ class FieldOptionSet {
   // With the grid's step left to the caller. Throws UsageError.
   FieldOptions Options(std::uint64_t seed) const;
 
+  bool order_given() const { return order_.has_value(); }
   const std::string& noise() const { return noise_; }  // the noise file; empty: none
 
  private:
   CorrelatorOptions correlator_;
+  std::optional<int> order_;
   std::string shape_ = "square", interpolation_ = "quintic", prefilter_ = "low-pass", noise_;
   bool no_verify_ = false, keep_still_parts_ = false;
 };

@@ -2,7 +2,6 @@
 #include <spdlog/spdlog.h>
 
 #include <algorithm>
-#include <charconv>
 #include <chrono>
 #include <cmath>
 #include <filesystem>
@@ -15,10 +14,13 @@
 #include "apps/internal/measure_report.h"
 #include "apps/internal/recording_options.h"
 #include "apps/internal/result_file.h"
+#include "apps/internal/rolling_options.h"
+#include "apps/internal/shard_option.h"
 #include "apps/internal/stereo_options.h"
 #include "apps/interrupt.h"
 #include "apps/pipeline.h"
 #include "apps/rig_input.h"
+#include "apps/rolling_run.h"
 #include "apps/stereo_run.h"
 #include "calib/error.h"
 #include "io/image_source.h"
@@ -63,39 +65,13 @@ class SizeGuard {
   bool under_way_ = false;
 };
 
-// "2/4": the second of four parts.
-SeriesShard ParseShard(const std::string& text) {
-  SeriesShard shard;
-  const char* const end = text.data() + text.size();
-  const auto first = std::from_chars(text.data(), end, shard.index);
-  bool good = first.ec == std::errc() && first.ptr != end && *first.ptr == '/';
-  if (good) {
-    const auto second = std::from_chars(first.ptr + 1, end, shard.count);
-    good = second.ec == std::errc() && second.ptr == end;
-  }
-  if (!good || shard.index < 1 || shard.index > shard.count) {
-    throw UsageError(fmt::format(
-        "A shard is its number and how many there are, as 1/4 to 4/4, not '{}'.", text));
-  }
-  --shard.index;
-  return shard;
-}
-
-// The part of the recording that the shard is. Throws InputError where there is none.
-SeriesShard CutOut(const SeriesShard& asked, std::int64_t frames, std::int64_t block_frames) {
-  if (frames < 1) {
-    throw InputError(
-        "The recording does not say how many frames it holds, so that it cannot be cut into "
-        "shards; give --frames with both ends.");
-  }
-  const SeriesShard shard = ShardOf(asked.index, asked.count, frames, block_frames);
-  if (shard.first_frame >= EndOf(shard)) {
-    throw InputError(fmt::format(
-        "Shard {} of {} would hold no frame: the recording has {} frames in blocks of {}; take "
-        "fewer shards or a smaller --block-frames.",
-        asked.index + 1, asked.count, frames, block_frames));
-  }
-  return shard;
+ReportedFrame Reported(StereoRunFrame measured) {
+  FrameSummary summary;
+  summary.grid_points = measured.summary.grid_points;
+  summary.valid_points = measured.summary.valid_points;
+  summary.plane_distance_mm = measured.summary.plane_distance_mm;
+  return {std::move(measured.frame), summary, measured.summary,
+          measured.match_s + measured.evaluate_s};
 }
 
 class MeasureCommand : public Command {
@@ -108,8 +84,10 @@ class MeasureCommand : public Command {
     return "Examples:\n"
            "  plumbline measure --rig rig.h5 --left 'left/*.png' --right 'right/*.png' -o run.h5\n"
            "  plumbline measure --matcher dic --rig rig.h5 --left left.mkv --right right.mkv\n"
+           "  plumbline measure --reference wheel.h5 --left rolling/left --right rolling/right\n"
            "The first gives the shape in each pair; the second follows the material (stereo-DIC): "
-           "shape, displacement and strain since the first pair.\n"
+           "shape, displacement and strain since the first pair; the third measures a rolling tyre "
+           "against its undeformed wheel.\n"
            "Open the result with plumbline info run.h5, with h5py or MATLAB's h5read, or as points "
            "after\n  plumbline export run.h5 --format ply -o run.ply";
   }
@@ -122,23 +100,29 @@ class MeasureCommand : public Command {
   MeasureOptions SgbmOptions(std::uint64_t seed) const;
   Measurement Sgbm(const RigInput& rig, std::uint64_t seed) const;
   Measurement Dic(const RigInput& rig, std::uint64_t seed) const;
+  std::optional<Measurement> Rolling(const CommonOptions& common) const;
+  StereoRunOptions DicOptions(std::uint64_t seed, int bits) const;
+  void CheckRolling() const;
+  RigInput Rig() const;
   StereoFrame ReferencePair(std::vector<fs::path>* files) const;
   std::optional<CommandReport> FinishedBefore(const fs::path& output,
                                               const std::string& recipe_toml) const;
 
   RecordingOptionSet recording_;
   std::string output_ = "run.h5";
-  std::string matcher_ = "sgbm", roi_, mask_, rectification_ = "auto", shard_;
+  std::string matcher_ = "auto", roi_, mask_, rectification_ = "auto", shard_;
   ChannelOptionSet channels_;
   std::optional<int> step_px_, reference_frame_;
   bool overwrite_ = false, resume_ = false;
   MeasureOptions sgbm_;
   StereoOptionSet dic_;
+  RollingOptionSet rolling_;
   EvaluationOptionSet evaluation_;
 };
 
 void MeasureCommand::Declare(OptionTable& options) {
-  recording_.Declare(options);
+  recording_.Declare(options, false);
+  rolling_.Declare(options);
   options.Add(
       {.name = "output", .help = "where the result goes", .unit = "FILE", .short_name = "o"},
       &output_);
@@ -153,11 +137,13 @@ void MeasureCommand::Declare(OptionTable& options) {
        .help = "image of the left camera's size: 0 is left out, all else (1 or 255) measured",
        .unit = "FILE"},
       &mask_);
-  options.Add({.name = "matcher",
-               .help = "sgbm: every pair on its own, in the rectified images; dic: material points "
-                       "are followed by correlation in the raw images",
-               .choices = {"sgbm", "dic"}},
-              &matcher_);
+  options.Add(
+      {.name = "matcher",
+       .help = "sgbm: every pair on its own, in the rectified images; dic: material points "
+               "are followed by correlation in the raw images; auto: sgbm, with --reference "
+               "dic",
+       .choices = {"auto", "sgbm", "dic"}},
+      &matcher_);
   options.Add({.name = "step",
                .help = "distance between points in the left image (for sgbm the rectified one); "
                        "auto: 1 for sgbm, 8 for dic",
@@ -293,27 +279,75 @@ StereoFrame MeasureCommand::ReferencePair(std::vector<fs::path>* files) const {
       fmt::format("No pair can serve as the reference that displacements count from: {}", problem));
 }
 
-Measurement MeasureCommand::Dic(const RigInput& rig, std::uint64_t seed) const {
-  const SurfaceEvaluationOptions evaluation = evaluation_.Options(seed);
-  std::vector<fs::path> files;
-  const StereoFrame reference = ReferencePair(&files);
+StereoRunOptions MeasureCommand::DicOptions(std::uint64_t seed, int bits) const {
   StereoRunOptions options =
-      dic_.Options(seed, reference.left.bits, step_px_.value_or(8), evaluation);
+      dic_.Options(seed, bits, step_px_.value_or(8), evaluation_.Options(seed));
   if (!roi_.empty()) options.roi = PixelRegion::Parse(roi_);
   if (!mask_.empty()) options.mask = ReadMask(mask_);
+  return options;
+}
+
+Measurement MeasureCommand::Dic(const RigInput& rig, std::uint64_t seed) const {
+  evaluation_.Options(seed);  // before anything is read: what is wrong with them
+  std::vector<fs::path> files;
+  const StereoFrame reference = ReferencePair(&files);
+  const StereoRunOptions options = DicOptions(seed, reference.left.bits);
   const auto run = std::make_shared<StereoRun>(rig.rig, reference, options);
   Measurement out{run->Header(), {}, {}, options.block_frames, run->Notes(), files};
-  out.measure = [run](const StereoFrame& pair, std::int64_t position) -> ReportedFrame {
-    StereoRunFrame measured = run->Measure(pair, position);
-    FrameSummary summary;
-    summary.grid_points = measured.summary.grid_points;
-    summary.valid_points = measured.summary.valid_points;
-    summary.plane_distance_mm = measured.summary.plane_distance_mm;
-    return {std::move(measured.frame), summary, measured.summary,
-            measured.match_s + measured.evaluate_s};
+  out.measure = [run](const StereoFrame& pair, std::int64_t position) {
+    return Reported(run->Measure(pair, position));
   };
   out.first_to_measure = [run](std::int64_t wanted) { return run->FirstToMeasure(wanted); };
   return out;
+}
+
+void MeasureCommand::CheckRolling() const {
+  if (!rolling_.given()) {
+    if (recording_.has_rig()) return;
+    throw UsageError(
+        "--rig is missing: give the calibrated rig, or the wheel of a rolling tyre with "
+        "--reference.");
+  }
+  if (recording_.has_rig()) {
+    throw UsageError("The rig comes from the wheel file of --reference; leave out --rig.");
+  }
+  if (matcher_ == "sgbm") {
+    throw UsageError("A rolling tyre is measured with --matcher dic, not sgbm.");
+  }
+  if (reference_frame_) {
+    throw UsageError(
+        "Displacements of a rolling tyre count from the wheel of --reference; leave out "
+        "--reference-frame.");
+  }
+}
+
+// The first pass over a rolling tyre. Nothing: stopped.
+std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common) const {
+  std::vector<fs::path> files;
+  const int bits = ReferencePair(&files).left.bits;
+  const auto run = std::make_shared<RollingRun>(
+      rolling_.Wheel(), rolling_.Options(DicOptions(common.seed, bits), dic_.order_given()));
+  const auto source = recording_.Open();
+  std::optional<Progress> progress(std::in_place, "finding the wheel", source->DeclaredCount(),
+                                   common.progress());
+  const bool whole = run->Survey(*source, [&](std::int64_t done, std::int64_t) {
+    if (done > 0) progress->Advance();
+    return !InterruptGuard::Requested();
+  });
+  progress.reset();
+  if (!whole) return std::nullopt;
+  Measurement out{run->Header(), {}, {}, 1, run->Notes(), files};
+  out.measure = [run](const StereoFrame& pair, std::int64_t position) {
+    return Reported(run->Measure(pair, position));
+  };
+  out.first_to_measure = [](std::int64_t wanted) { return wanted; };
+  return out;
+}
+
+RigInput MeasureCommand::Rig() const {
+  if (!rolling_.given()) return recording_.Rig();
+  RigInput rig{rolling_.Wheel().rig, std::nullopt, {rolling_.file()}, {}};
+  return rig;
 }
 
 // Where --resume finds the run finished: what there is to say of that.
@@ -347,13 +381,14 @@ void Commit(const SeriesFrame& frame, const fs::path& output, SeriesWriter& writ
 }
 
 CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string& recipe_toml) {
-  const bool dic = matcher_ == "dic";
+  const bool dic = matcher_ == "dic" || rolling_.given();
+  CheckRolling();
   const fs::path output = CheckedOutput(output_, overwrite_ || resume_);
   if (const auto report = FinishedBefore(output, recipe_toml)) return *report;
   std::optional<SeriesShard> shard;
   if (!shard_.empty()) shard = ParseShard(shard_);
   if (!dic) SgbmOptions(common.seed);  // before anything is read: what is wrong with them
-  const RigInput rig = recording_.Rig();
+  const RigInput rig = Rig();
   if (rig.rig.modes.count() == 0) {
     spdlog::info(
         "Note: this calibration does not say how sure it is, so the calibration part of all "
@@ -361,7 +396,18 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
   }
   const std::vector<Channel> channels = channels_.Read();
   const auto source = recording_.Open();
-  Measurement measurement = dic ? Dic(rig, common.seed) : Sgbm(rig, common.seed);
+  const InterruptGuard guard;
+  std::optional<Measurement> chosen;
+  if (rolling_.given()) {
+    chosen = Rolling(common);
+  } else {
+    chosen = dic ? Dic(rig, common.seed) : Sgbm(rig, common.seed);
+  }
+  if (!chosen) {
+    spdlog::error("Stopped before the first frame was finished; nothing was written.");
+    return {"", {{"interrupted", true}}, 130};
+  }
+  Measurement& measurement = *chosen;
   for (const std::string& note : measurement.notes) spdlog::info("Note: {}", note);
 
   SeriesHeader& header = measurement.header;
@@ -384,7 +430,6 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
     range.end = EndOf(*header.shard);
   }
 
-  const InterruptGuard guard;
   SeriesWriter writer(output, header, resume_ ? SeriesStart::kResume : SeriesStart::kNew);
   const std::int64_t kept = writer.committed();
   range.first_wanted += kept;

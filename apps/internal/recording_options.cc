@@ -4,13 +4,13 @@
 
 namespace plumbline::internal {
 
-void RecordingOptionSet::Declare(OptionTable& options) {
+void RecordingOptionSet::Declare(OptionTable& options, bool rig_required) {
   options.Add(
       {.name = "rig",
        .help = "the calibrated rig: rig.h5, left.cameramodel,right.cameramodel, or a stereo "
                "calibration of OpenCV, DICe, VIC-3D or MatchID",
        .unit = "FILE",
-       .required = true},
+       .required = rig_required},
       &rig_);
   options.Add(
       {.name = "left",

@@ -16,10 +16,12 @@ class RecordingOptionSet {
  public:
   // In the order of the help: the rig and the images first, which of these and when they were taken
   // further down, what rig files of other programs do not say last.
-  void Declare(OptionTable& options);
+  // rig_required: false where the rig may come from elsewhere.
+  void Declare(OptionTable& options, bool rig_required = true);
   void DeclareFrames(OptionTable& options);
   void DeclareForeign(OptionTable& options);
 
+  bool has_rig() const { return !rig_.empty(); }
   RigInput Rig() const;  // its notes are told
   std::unique_ptr<ImageSource> Open() const;
   // The same recording, other frames of it.

@@ -48,11 +48,13 @@ void EvaluationOptionSet::Declare(OptionTable& options, StrainOptionSet::Of of) 
               &refine_pose_);
   options.Add({.name = "no-strain", .help = "leave the strain out"}, &no_strain_);
   strain_.Declare(options, of);
-  options.Add({.name = "strain-axes",
-               .help = "what the local x axis of strains follows: material (columns of the image), "
-                       "ground (x of the positions' frame) or a direction in that frame",
-               .unit = "NAME|X,Y,Z"},
-              &strain_axes_);
+  options.Add(
+      {.name = "strain-axes",
+       .help = "what the local x axis of strains follows: material (columns of the image; of a "
+               "rolling tyre, the direction of rolling), "
+               "ground (x of the positions' frame) or a direction in that frame",
+       .unit = "NAME|X,Y,Z"},
+      &strain_axes_);
 }
 
 SurfaceEvaluationOptions EvaluationOptionSet::Options(std::uint64_t seed) const {

@@ -51,6 +51,7 @@ class StereoOptionSet {
                            const SurfaceEvaluationOptions& evaluation) const;
 
   StereoStrategy strategy() const;
+  bool order_given() const { return matching_.order_given(); }
   bool stores_matches() const { return !no_matches_; }
   int block_frames() const { return block_frames_; }
   const std::string& noise() const { return matching_.noise(); }

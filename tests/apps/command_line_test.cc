@@ -74,7 +74,7 @@ TEST(CommandLine, WrongUsageIsExitCodeTwo) {
   ExpectComplaint("measure --rig r --left a --right b --step 0", 2,
                   "--step takes a whole number of px from 1");
   ExpectComplaint("measure --rig r --left a --right b --matcher orb", 2,
-                  "--matcher takes sgbm or dic, not 'orb'");
+                  "--matcher takes auto, sgbm, dic, not 'orb'");
   ExpectComplaint("measure --rig r --left a --right b --roi 1,2,3", 2, "A region is x,y,w,h");
   ExpectComplaint("measure --rig r --left a --right b --min-distance 300", 2, "together");
   ExpectComplaint("measure --rig r a.png b.png", 2, "one word too many");

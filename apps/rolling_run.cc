@@ -1,0 +1,211 @@
+#include "apps/rolling_run.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <chrono>
+#include <cmath>
+#include <list>
+#include <numbers>
+#include <utility>
+
+#include "apps/internal/wheel_motion.h"
+#include "calib/error.h"
+
+namespace plumbline {
+namespace {
+
+double SecondsSince(std::chrono::steady_clock::time_point begin) {
+  return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
+}
+
+// The direction of rolling, x of the wheel frame, as an option of the strain.
+std::string AlongTheWheel(const WheelAxis& axis) {
+  const Eigen::Vector3d x = axis.rotation.col(0);
+  return fmt::format("{:.6f},{:.6f},{:.6f}", x.x(), x.y(), x.z());
+}
+
+}  // namespace
+
+void RollingRunOptions::Check() const {
+  survey.Check();
+  sequence.Check();
+  evaluation.Check();
+  if (sequence.strategy == StereoStrategy::kIncremental) {
+    throw UsageError(
+        "A rolling tyre is measured against the wheel's reference images: the strategy is "
+        "reference or fresh-stereo, not incremental.");
+  }
+  if (views_held < 1) throw UsageError("At least one reference image is prepared at a time.");
+}
+
+struct RollingRun::Impl {
+  Impl(WheelReference w, const RollingRunOptions& o)
+      : reference(std::move(w)), options(o), wanted(Wanted()), survey(Surveyor()) {}
+
+  // A view that frames are measured against.
+  struct Prepared {
+    std::size_t view = 0;
+    std::unique_ptr<StereoSequence> sequence;
+    std::unique_ptr<SurfaceEvaluation> evaluation;
+  };
+
+  Image<std::uint8_t> Wanted() {
+    FieldOptions& field = options.sequence.field;
+    if (options.roi) PlaceGrid(*options.roi, reference.rig.left.size(), field);
+    return WantedPixels(reference.rig.left.size(), options.roi, options.mask);
+  }
+  std::unique_ptr<RollingSurvey> Surveyor() {
+    options.Check();
+    if (options.evaluation.strain_axes == "material") {
+      options.evaluation.strain_axes = AlongTheWheel(reference.axis);
+    }
+    options.evaluation.known_frame = internal::FrameOfWheel(reference);
+    return std::make_unique<RollingSurvey>(reference, options.survey, wanted);
+  }
+  Prepared& Prepare(std::size_t view);
+  SeriesFrame MeasurePlaced(const StereoFrame& pair, std::size_t at, StereoRunFrame& out);
+
+  WheelReference reference;
+  RollingRunOptions options;
+  Image<std::uint8_t> wanted;
+  std::unique_ptr<RollingSurvey> survey;  // until it is done
+  RollingWheel rolling;
+  std::list<Prepared> prepared;  // the last used first
+};
+
+RollingRun::Impl::Prepared& RollingRun::Impl::Prepare(std::size_t view) {
+  const auto found = std::find_if(prepared.begin(), prepared.end(),
+                                  [&](const Prepared& p) { return p.view == view; });
+  if (found != prepared.end()) {
+    prepared.splice(prepared.begin(), prepared, found);
+    return prepared.front();
+  }
+  while (prepared.size() >= static_cast<std::size_t>(options.views_held)) prepared.pop_back();
+  const WheelReferenceView& v = reference.views[view];
+  Prepared anew{view, nullptr, nullptr};
+  anew.sequence =
+      std::make_unique<StereoSequence>(reference.rig, v.left, v.right, options.sequence, wanted);
+  anew.evaluation = std::make_unique<SurfaceEvaluation>(reference.rig, anew.sequence->reference(),
+                                                        anew.sequence->correlator().neighbours(),
+                                                        options.evaluation);
+  prepared.push_front(std::move(anew));
+  return prepared.front();
+}
+
+RollingRun::RollingRun(WheelReference wheel, const RollingRunOptions& options)
+    : impl_(std::make_unique<Impl>(std::move(wheel), options)) {}
+
+RollingRun::~RollingRun() = default;
+
+const RollingWheel& RollingRun::wheel() const { return impl_->rolling; }
+const WheelReference& RollingRun::reference() const { return impl_->reference; }
+
+bool RollingRun::Survey(ImageSource& source, const RollingProgress& progress) {
+  Impl& impl = *impl_;
+  const std::int64_t total = source.DeclaredCount();
+  std::string first_problem;
+  for (std::int64_t done = 0;; ++done) {
+    if (!progress(done, total)) return false;
+    const std::optional<StereoFrame> pair = source.Next();
+    if (!pair) break;
+    std::string problem = pair->problem;
+    if (problem.empty()) {
+      problem = impl.survey->Add(pair->index, pair->time_s, pair->left, pair->right).problem;
+    } else {
+      impl.survey->AddUnreadable(pair->index, pair->time_s, problem);
+    }
+    if (first_problem.empty()) first_problem = problem;
+  }
+  impl.rolling = impl.survey->Finish();
+  impl.survey.reset();
+  if (impl.rolling.frames.empty()) throw InputError("There are no frames to measure.");
+  if (impl.rolling.placed() == 0) {
+    throw InputError(fmt::format("None of the {} frames is found on the wheel; the first one: {}.",
+                                 impl.rolling.frames.size(), first_problem));
+  }
+  return true;
+}
+
+std::vector<std::string> RollingRun::Notes() const {
+  const RollingWheel& rolling = impl_->rolling;
+  std::vector<std::string> notes;
+  const auto frames = static_cast<int>(rolling.frames.size());
+  if (rolling.placed() < frames) {
+    notes.push_back(fmt::format("{} of {} frames are not found on the wheel and are marked.",
+                                frames - rolling.placed(), frames));
+  }
+  const auto outliers = std::count_if(rolling.frames.begin(), rolling.frames.end(),
+                                      [](const RollingFrame& f) { return f.outlier; });
+  if (outliers > 0) {
+    notes.push_back(fmt::format(
+        "The wheel angles of {} frames contradict those of the others; there the angle is that of "
+        "the others alone.",
+        outliers));
+  }
+  constexpr double kDegree = std::numbers::pi / 180;
+  notes.push_back(fmt::format(
+      "All wheel angles together may be off by {:.2g} degrees, and displacements around the wheel "
+      "with them: what shears the tyre all over the view cannot be told from a turn.",
+      rolling.sigma_common_rad / kDegree));
+  if (!impl_->reference.closed) {
+    notes.push_back(
+        "The wheel's reference is not of a full turn: frames beyond its arc are not found on it.");
+  }
+  return notes;
+}
+
+SeriesHeader RollingRun::Header() {
+  Impl& impl = *impl_;
+  const auto& frames = impl.rolling.frames;
+  const auto placed = std::find_if(frames.begin(), frames.end(), [](const RollingFrame& f) {
+    return f.status == RollingFrameStatus::kPlaced;
+  });
+  SeriesHeader header = impl.Prepare(placed->view).evaluation->Header();
+  header.contents.velocity = header.contents.rigid_motion = false;
+  header.contents.wheel = header.contents.material = true;
+  header.displacement_reference = "wheel";
+  header.reference.reset();  // each view has its own
+  return header;
+}
+
+SeriesFrame RollingRun::Impl::MeasurePlaced(const StereoFrame& pair, std::size_t at,
+                                            StereoRunFrame& out) {
+  const auto begin = std::chrono::steady_clock::now();
+  Prepared& by = Prepare(rolling.frames[at].view);
+  by.sequence->Restart();
+  const StereoField field = by.sequence->Add(pair.left, pair.right, pair.index);
+  out.match_s = SecondsSince(begin);
+  out.left_counts = field.left_counts;
+  out.right_counts = field.right_counts;
+  const BodyMotion body = internal::TurnSinceView(reference, rolling, at);
+  SeriesFrame frame = by.evaluation->Evaluate(field, pair.time_s, &body);
+  frame.ground.problem = "the ground under a rolling tyre is not looked for";
+  frame.wheel = internal::WheelRecordOf(reference, rolling, at);
+  frame.material =
+      internal::MaterialOf(reference.axis.RigFromWheel(rolling.frames[at].angle_rad), frame);
+  out.summary = by.evaluation->Summarise(frame);
+  out.evaluate_s = SecondsSince(begin) - out.match_s;
+  return frame;
+}
+
+StereoRunFrame RollingRun::Measure(const StereoFrame& pair, std::int64_t position) {
+  StereoRunFrame out;
+  const auto at = static_cast<std::size_t>(position);
+  const RollingFrame& placed = impl_->rolling.frames.at(at);
+  if (!pair.problem.empty()) {
+    out.frame.problem = pair.problem;
+  } else if (placed.status != RollingFrameStatus::kPlaced) {
+    out.frame.problem = "not found on the wheel: " + placed.problem;
+  } else {
+    out.frame = impl_->MeasurePlaced(pair, at, out);
+  }
+  if (!out.frame.wheel.found) out.frame.wheel.problem = out.frame.problem;
+  out.frame.index = pair.index;
+  out.frame.time_s = pair.time_s;
+  out.frame.left_id = pair.left_id;
+  out.frame.right_id = pair.right_id;
+  return out;
+}
+
+}  // namespace plumbline

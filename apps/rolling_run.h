@@ -1,0 +1,78 @@
+#pragma once
+
+#include <cstdint>
+#include <functional>
+#include <memory>
+#include <optional>
+#include <string>
+#include <vector>
+
+#include "apps/region.h"
+#include "apps/stereo_run.h"
+#include "apps/surface_evaluation.h"
+#include "io/image_source.h"
+#include "io/series_writer.h"
+#include "track/rolling_survey.h"
+#include "track/wheel_reference.h"
+
+namespace plumbline {
+
+struct RollingRunOptions {
+  RollingSurveyOptions survey;
+  StereoSequenceOptions sequence;  // of the second pass
+  std::optional<PixelRegion> roi;  // points whose subset fits into it; none: into the image
+  Image<std::uint8_t> mask;        // of the left image; empty: all of it
+  // The frame of positions is the rig's; strain_axes "material" means the direction of rolling.
+  SurfaceEvaluationOptions evaluation;
+  int views_held = 3;  // reference images that are prepared at a time for the second pass
+
+  // Throws UsageError naming the broken constraint.
+  void Check() const;
+};
+
+// Told before each frame of the first pass; returning false ends it.
+using RollingProgress = std::function<bool(std::int64_t done, std::int64_t total)>;
+
+// From a recording of a loaded, rolling tyre to its shape, deformation and strain against the
+// undeformed wheel, with error bars.
+//
+//   all pairs -> place on the wheel, sparse points -> wheel angles, smoothed           (Survey)
+//   each pair -> matches with the nearest view -> points in space
+//             -> displacement from the undeformed wheel turned to the same angle, strain  (Measure)
+//
+// What needs all frames, such as how the rig turns over the ground, follows from the sparse points
+// after Survey(); what needs one frame and the one before belongs into Measure().
+//
+// Frame:  positions are in the rig frame, as the wheel's axis holds it: along a calibration mode
+//         the axis stays where it is.
+// Grid:   the same pixels in the left image of every view; the point of a frame is the material
+//         that is there in the view, and seen within half a view's spacing of it.
+// Frames are independent of each other once the survey is done: a recording can be cut anywhere.
+class RollingRun {
+ public:
+  // Throws UsageError from the options, InputError as WheelLibrary and where region and mask leave
+  // nothing.
+  RollingRun(WheelReference wheel, const RollingRunOptions& options);
+  ~RollingRun();
+
+  // The first pass. False: stopped. Throws InputError where no frame is on the wheel, saying why,
+  // and as the source.
+  bool Survey(ImageSource& source, const RollingProgress& progress);
+
+  // After Survey().
+  const RollingWheel& wheel() const;
+  const WheelReference& reference() const;
+  // What the user should know, a sentence each.
+  std::vector<std::string> Notes() const;
+  // All but the recipe, the inputs and the channels.
+  SeriesHeader Header();
+  // The pair at this place of the recording, from 0. Throws InputError when the images are not of
+  // the rig's size.
+  StereoRunFrame Measure(const StereoFrame& pair, std::int64_t position);
+
+ private:
+  struct Impl;
+  std::unique_ptr<Impl> impl_;
+};
+
+}  // namespace plumbline

@@ -1,0 +1,262 @@
+#include "apps/rolling_run.h"
+
+#include <gmock/gmock.h>
+#include <gtest/gtest.h>
+
+#include <cmath>
+#include <fstream>
+#include <memory>
+#include <nlohmann/json.hpp>
+#include <utility>
+#include <vector>
+
+#include "calib/error.h"
+#include "calib/median.h"
+#include "io/image_writer.h"
+#include "io/inspect.h"
+#include "io/rig_file.h"
+#include "io/series_reader.h"
+#include "io/wheel_file.h"
+#include "tests/support/plumbline_command.h"
+#include "tests/track/lifted_wheel.h"
+
+namespace plumbline {
+namespace {
+namespace fs = std::filesystem;
+using testing::CommandResult;
+using ::testing::HasSubstr;
+using ::testing::IsEmpty;
+using testing::kDegrees;
+using testing::LiftedWheel;
+using testing::RunPlumbline;
+using testing::TestFolder;
+
+constexpr int kFrames = 2;
+constexpr double kFrame_s = 0.1;
+
+Scenario Loaded(unsigned more_seed = 0) {
+  Scenario loaded = LiftedWheel::ScenarioOf(kFrames, 5 * kDegrees);
+  std::get<TyreOptions>(loaded.surface).lifted_mm = 0;
+  loaded.seed = 9;
+  loaded.speckle.seed += more_seed;
+  return loaded;
+}
+
+// Pairs that are there.
+class Recording : public ImageSource {
+ public:
+  explicit Recording(std::vector<StereoFrame> pairs) : pairs_(std::move(pairs)) {}
+  std::int64_t DeclaredCount() const override { return static_cast<std::int64_t>(pairs_.size()); }
+  std::optional<StereoFrame> Next() override {
+    if (next_ == pairs_.size()) return std::nullopt;
+    return pairs_[next_++];
+  }
+  std::vector<std::string> Notes() const override { return {}; }
+  std::vector<fs::path> Files() const override { return {}; }
+
+ private:
+  std::vector<StereoFrame> pairs_;
+  std::size_t next_ = 0;
+};
+
+// The reference of a part of the wheel, and the loaded tyre seen by the same rig; the last pair is
+// of another tyre.
+class RollingTyre : public ::testing::Test {
+ protected:
+  static void SetUpTestSuite() {
+    LiftedWheel lifted(6, 6 * kDegrees);
+    WheelTracks tracks(lifted.rig(), ChainOf(lifted), testing::LiftedWheelOptions());
+    std::vector<WheelFrameMatches> matches;
+    for (int f = 0; f < lifted.frames(); ++f) {
+      matches.push_back(tracks.Add(f, lifted.Pair(f).left, lifted.Pair(f).right));
+    }
+    reference_ = new WheelReference(MakeWheelReference(
+        lifted.rig(), tracks, matches, AdjustWheel(lifted.rig(), tracks.Problem())));
+    tyre_ = new VirtualRig(Loaded());
+    pairs_ = new std::vector<StereoFrame>;
+    for (int f = 0; f < kFrames; ++f) pairs_->push_back(PairOf(*tyre_, f, f));
+    pairs_->push_back(PairOf(VirtualRig(Loaded(1)), 1, kFrames));
+    run_ = new RollingRun(*reference_, Options());
+    Recording recording(*pairs_);
+    ASSERT_TRUE(run_->Survey(recording, [](std::int64_t, std::int64_t) { return true; }));
+    frames_ = new std::vector<SeriesFrame>;
+    for (std::size_t f = 0; f < pairs_->size(); ++f) {
+      frames_->push_back(run_->Measure((*pairs_)[f], static_cast<std::int64_t>(f)).frame);
+    }
+  }
+  static void TearDownTestSuite() {
+    delete reference_;
+    delete tyre_;
+    delete pairs_;
+    delete run_;
+    delete frames_;
+  }
+
+  static StereoFrame PairOf(const VirtualRig& rig, int frame, int index) {
+    StereoFrame pair;
+    pair.index = index;
+    pair.time_s = index * kFrame_s;
+    pair.left_id = "left_" + std::to_string(index);
+    pair.right_id = "right_" + std::to_string(index);
+    pair.left = rig.TakeImage(frame, Side::kLeft);
+    pair.right = rig.TakeImage(frame, Side::kRight);
+    return pair;
+  }
+  static RollingRunOptions Options() {
+    RollingRunOptions options;
+    options.sequence.field.correlator.subset_px = 19;
+    options.sequence.field.correlator.order = 2;
+    options.sequence.field.step_px = 6;
+    options.survey.matching = options.sequence;
+    options.evaluation.strain_options.window_points = 5;
+    return options;
+  }
+  // Places of the points now, on the undeformed wheel at the same angle.
+  static Eigen::Vector3d UndeformedAt(const SeriesFrame& frame, std::size_t i) {
+    return (frame.surface.position_mm.data()[i] - frame.displacement.value_mm.data()[i])
+        .cast<double>();
+  }
+
+  static WheelReference* reference_;
+  static VirtualRig* tyre_;
+  static std::vector<StereoFrame>* pairs_;
+  static RollingRun* run_;
+  static std::vector<SeriesFrame>* frames_;  // measured
+};
+
+WheelReference* RollingTyre::reference_ = nullptr;
+VirtualRig* RollingTyre::tyre_ = nullptr;
+std::vector<StereoFrame>* RollingTyre::pairs_ = nullptr;
+RollingRun* RollingTyre::run_ = nullptr;
+std::vector<SeriesFrame>* RollingTyre::frames_ = nullptr;
+
+TEST_F(RollingTyre, IsMeasuredAgainstTheUndeformedWheel) {
+  EXPECT_EQ(run_->wheel().placed(), kFrames);
+  const SeriesHeader header = run_->Header();
+  EXPECT_EQ(header.displacement_reference, "wheel");
+  EXPECT_TRUE(header.contents.wheel && header.contents.material && !header.contents.velocity);
+  for (int f = 0; f < kFrames; ++f) {
+    const SeriesFrame& frame = (*frames_)[static_cast<std::size_t>(f)];
+    ASSERT_THAT(frame.problem, IsEmpty());
+    const auto truth = tyre_->Truth(f);
+    const Rigid3 ground_from_rig = truth->ground_from_rig();
+    std::vector<double> radial, across, z2, strain[3];
+    for (int r = 0; r < header.grid_px.height(); ++r) {
+      for (int c = 0; c < header.grid_px.width(); ++c) {
+        const std::size_t i = static_cast<std::size_t>(r * header.grid_px.width() + c);
+        const Eigen::Vector3f& moved = frame.displacement.value_mm.data()[i];
+        if (!moved.allFinite()) continue;
+        const auto there = truth->UnderLeftPixel(
+            (header.grid_px(r, c) + frame.match.left_displacement_px(r, c)).cast<double>());
+        ASSERT_TRUE(there.has_value());
+        const Eigen::Vector3d off =
+            moved.cast<double>() - ground_from_rig.rotation.transpose() * there->displacement_mm;
+        // Towards the axis, which the wheel's angle has no part in.
+        const Eigen::Vector3d axis = frame.wheel.axis;
+        Eigen::Vector3d outwards = UndeformedAt(frame, i) - frame.wheel.centre_mm;
+        outwards = (outwards - axis * axis.dot(outwards)).normalized();
+        const Eigen::Vector3f sigma = frame.displacement.sigma_random_mm.data()[i];
+        radial.push_back(std::abs(off.dot(outwards)));
+        across.push_back(std::abs(off.dot(axis)));
+        const double along_z = off.z() / static_cast<double>(sigma.z());
+        z2.push_back(along_z * along_z);
+        const Eigen::Vector3f& e = frame.strain.value.data()[i];
+        if (!e.allFinite()) continue;
+        for (int k = 0; k < 3; ++k) {
+          strain[k].push_back(std::abs(static_cast<double>(e[k]) - there->green_lagrange[k]));
+        }
+      }
+    }
+    ASSERT_GT(radial.size(), 500U);
+    EXPECT_LT(Median(radial), 0.04) << f;
+    EXPECT_LT(Median(across), 0.015) << f;
+    // Chi-squared of one freedom has its median at 0.455.
+    EXPECT_LT(Median(z2), 1.0) << f;
+    EXPECT_GT(Median(z2), 0.1) << f;
+    ASSERT_GT(strain[0].size(), 300U);
+    for (int k = 0; k < 3; ++k) EXPECT_LT(Median(strain[k]), 1.5e-3) << f << " " << k;
+    EXPECT_TRUE(frame.wheel.found);
+    EXPECT_NEAR(frame.wheel.speed_rad_s, 5 * kDegrees / kFrame_s, 0.01);
+    EXPECT_LT(frame.wheel.sigma_random_angle_rad, 0.005 * kDegrees);
+  }
+  const SeriesFrame& foreign = frames_->back();
+  EXPECT_THAT(foreign.problem, HasSubstr("not found on the wheel: "));
+  EXPECT_FALSE(foreign.wheel.found);
+  EXPECT_TRUE(foreign.surface.status.empty());
+  EXPECT_THAT(run_->Notes().front(), HasSubstr("1 of 3 frames"));
+}
+
+// Material points stay what they are while the wheel turns.
+TEST_F(RollingTyre, FollowsTheMaterial) {
+  const SeriesFrame &first = (*frames_)[0], &second = (*frames_)[1];
+  ASSERT_EQ(run_->wheel().frames[0].view, run_->wheel().frames[1].view);
+  const Rigid3 rig_from_wheel = reference_->axis.RigFromWheel(second.wheel.angle_rad);
+  int both = 0;
+  for (std::size_t i = 0; i < first.material.position_mm.pixel_count(); ++i) {
+    const Eigen::Vector3f &before = first.material.position_mm.data()[i],
+                          &now = second.material.position_mm.data()[i];
+    if (!before.allFinite() || !now.allFinite()) continue;
+    ++both;
+    EXPECT_LT((before - now).norm(), 1e-3F);
+    EXPECT_LT((rig_from_wheel * now.cast<double>() - UndeformedAt(second, i)).norm(), 1e-3);
+  }
+  EXPECT_GT(both, 100);
+}
+
+TEST_F(RollingTyre, SaysWhyNothingIsOnTheWheel) {
+  RollingRun run(*reference_, Options());
+  Recording recording({pairs_->back()});
+  try {
+    (void)run.Survey(recording, [](std::int64_t, std::int64_t) { return true; });
+    FAIL() << "another tyre was taken for the wheel's";
+  } catch (const InputError& error) {
+    EXPECT_THAT(error.what(), HasSubstr("None of the 1 frames is found on the wheel"));
+  }
+  RollingRun stopped(*reference_, Options());
+  Recording again({pairs_->back()});
+  EXPECT_FALSE(stopped.Survey(again, [](std::int64_t done, std::int64_t) { return done < 1; }));
+  RollingRunOptions options = Options();
+  options.sequence.strategy = StereoStrategy::kIncremental;
+  EXPECT_THROW(RollingRun(*reference_, options), UsageError);
+}
+
+TEST_F(RollingTyre, IsMeasuredByTheCommand) {
+  const fs::path folder = TestFolder();
+  for (const char* side : {"left", "right"}) fs::create_directories(folder / side);
+  for (const int f : {0, kFrames}) {
+    const StereoFrame& pair = (*pairs_)[static_cast<std::size_t>(f)];
+    WritePng(folder / "left" / ("0" + std::to_string(f) + ".png"), pair.left);
+    WritePng(folder / "right" / ("0" + std::to_string(f) + ".png"), pair.right);
+  }
+  WriteWheelFile(folder / "wheel.h5", *reference_);
+  WriteRigFile(folder / "rig.h5", reference_->rig);
+  const auto path = [&](const std::string& name) { return (folder / name).string(); };
+  const std::string images = " --left " + path("left") + " --right " + path("right") +
+                             " --subset 19 --step 12 -q -o " + path("run.h5");
+  const CommandResult made =
+      RunPlumbline("measure --json --fps 10 --reference " + path("wheel.h5") + images);
+  ASSERT_EQ(made.exit_code, 0) << made.output;
+  EXPECT_THAT(Validate(folder / "run.h5"), IsEmpty());
+  const SeriesReader run(folder / "run.h5");
+  ASSERT_EQ(run.frame_count(), 2);
+  EXPECT_EQ(run.displacement_reference(), "wheel");
+  EXPECT_TRUE(run.Frame(0).wheel.found);
+  EXPECT_FALSE(run.Frame(0).material.position_mm.empty());
+  EXPECT_THAT(run.Frame(1).problem, HasSubstr("not found on the wheel"));
+  EXPECT_FALSE(run.Frame(1).wheel.found);
+
+  const auto refused = [&](const std::string& arguments, int code, const std::string& text) {
+    const CommandResult result = RunPlumbline("measure --overwrite " + arguments + images);
+    EXPECT_EQ(result.exit_code, code) << arguments;
+    EXPECT_THAT(result.output, HasSubstr(text)) << arguments;
+  };
+  refused("", 2, "--rig");
+  refused("--rig " + path("rig.h5") + " --reference " + path("wheel.h5"), 2, "leave out --rig");
+  refused("--matcher sgbm --reference " + path("wheel.h5"), 2, "not sgbm");
+  refused("--reference-frame 0 --reference " + path("wheel.h5"), 2, "--reference-frame");
+  refused("--reference " + path("rig.h5"), 3, "rig.h5");
+  refused("--reference " + path("none.h5"), 3, "none.h5");
+}
+
+}  // namespace
+}  // namespace plumbline
