@@ -9,6 +9,7 @@
 #include <numbers>
 #include <utility>
 
+#include "apps/internal/rolling_records.h"
 #include "apps/internal/wheel_motion.h"
 #include "calib/error.h"
 
@@ -52,7 +53,10 @@ struct RollingRun::Impl {
 
   Image<std::uint8_t> Wanted() {
     FieldOptions& field = options.sequence.field;
-    if (options.roi) PlaceGrid(*options.roi, reference.rig.left.size(), field);
+    if (options.roi) {
+      PlaceGrid(*options.roi, reference.rig.left.size(), field);
+      PlaceGrid(*options.roi, reference.rig.left.size(), options.survey.matching.field);
+    }
     return WantedPixels(reference.rig.left.size(), options.roi, options.mask);
   }
   std::unique_ptr<RollingSurvey> Surveyor() {
@@ -65,12 +69,17 @@ struct RollingRun::Impl {
   }
   Prepared& Prepare(std::size_t view);
   SeriesFrame MeasurePlaced(const StereoFrame& pair, std::size_t at, StereoRunFrame& out);
+  std::optional<UncertainFrame> GroundAt(std::size_t at) const;
+  void AddContact(std::size_t at, SeriesFrame* frame) const;
 
   WheelReference reference;
   RollingRunOptions options;
   Image<std::uint8_t> wanted;
   std::unique_ptr<RollingSurvey> survey;  // until it is done
   RollingWheel rolling;
+  std::optional<RollingContact> contact;
+  double threshold_mm = 0;
+  std::string convention;        // of slip
   std::list<Prepared> prepared;  // the last used first
 };
 
@@ -148,6 +157,9 @@ std::vector<std::string> RollingRun::Notes() const {
       "All wheel angles together may be off by {:.2g} degrees, and displacements around the wheel "
       "with them: what shears the tyre all over the view cannot be told from a turn.",
       rolling.sigma_common_rad / kDegree));
+  if (impl_->contact && !impl_->contact->found) {
+    notes.push_back("The ground is in no frame: " + impl_->contact->problem);
+  }
   if (!impl_->reference.closed) {
     notes.push_back(
         "The wheel's reference is not of a full turn: frames beyond its arc are not found on it.");
@@ -164,6 +176,11 @@ SeriesHeader RollingRun::Header() {
   SeriesHeader header = impl.Prepare(placed->view).evaluation->Header();
   header.contents.velocity = header.contents.rigid_motion = false;
   header.contents.wheel = header.contents.material = true;
+  if (impl.contact) {
+    header.contents.patch = header.contents.slip = true;
+    header.contents.rig_rotation = header.contents.deformation = true;
+    header.slip_convention = impl.convention;
+  }
   header.displacement_reference = "wheel";
   header.reference.reset();  // each view has its own
   return header;
@@ -178,15 +195,50 @@ SeriesFrame RollingRun::Impl::MeasurePlaced(const StereoFrame& pair, std::size_t
   out.match_s = SecondsSince(begin);
   out.left_counts = field.left_counts;
   out.right_counts = field.right_counts;
-  const BodyMotion body = internal::TurnSinceView(reference, rolling, at);
+  BodyMotion body = internal::TurnSinceView(reference, rolling, at);
+  const std::optional<UncertainFrame> ground = GroundAt(at);
+  if (ground) {
+    body = internal::InGround(std::move(body), contact->frames[at].rotation.ground,
+                              *options.evaluation.known_frame);
+  }
   SeriesFrame frame = by.evaluation->Evaluate(field, pair.time_s, &body);
-  frame.ground.problem = "the ground under a rolling tyre is not looked for";
-  frame.wheel = internal::WheelRecordOf(reference, rolling, at);
-  frame.material =
-      internal::MaterialOf(reference.axis.RigFromWheel(rolling.frames[at].angle_rad), frame);
+  frame.ground.problem = "the ground under the tyre was not looked for";
+  frame.wheel = internal::WheelRecordOf(reference, rolling, at, ground ? &*ground : nullptr);
+  Rigid3 here_from_wheel = reference.axis.RigFromWheel(rolling.frames[at].angle_rad);
+  if (ground) here_from_wheel = ground->frame_from_rig * here_from_wheel;
+  frame.material = internal::MaterialOf(here_from_wheel, frame);
+  if (ground && frame.problem.empty()) {
+    frame.surface.frame = SurfaceFrame::kGround;
+    internal::AddGroundErrors(*ground, &frame.surface);
+  }
   out.summary = by.evaluation->Summarise(frame);
   out.evaluate_s = SecondsSince(begin) - out.match_s;
   return frame;
+}
+
+std::optional<UncertainFrame> RollingRun::Impl::GroundAt(std::size_t at) const {
+  if (!contact || !contact->frames[at].rotation.found) return std::nullopt;
+  return GroundFrameOf(contact->frames[at].rotation, reference.axis);
+}
+
+// What the survey's points say of the frame.
+void RollingRun::Impl::AddContact(std::size_t at, SeriesFrame* frame) const {
+  if (!contact) return;
+  const RollingContactFrame& found = contact->frames[at];
+  frame->ground = internal::GroundRecordOf(found.rotation);
+  frame->rig_rotation = internal::RigRotationRecordOf(found.rotation);
+  frame->patch = internal::PatchRecordOf(found, threshold_mm);
+  frame->deformation = internal::DeformationRecordOf(found.deformation);
+  frame->slip = internal::SlipRecordOf(found, frame->surface.status.size(),
+                                       rolling.spacing_px / options.sequence.field.step_px);
+}
+
+void RollingRun::FindContact(RollingContactOptions contact) {
+  Impl& impl = *impl_;
+  contact.subset_px = impl.options.survey.matching.field.correlator.subset_px;
+  impl.threshold_mm = contact.patch.threshold.threshold_mm;
+  impl.convention = kSlipConventionNames[static_cast<std::size_t>(contact.slip.convention)];
+  impl.contact = FindRollingContact(impl.reference, impl.rolling, contact);
 }
 
 StereoRunFrame RollingRun::Measure(const StereoFrame& pair, std::int64_t position) {
@@ -201,6 +253,7 @@ StereoRunFrame RollingRun::Measure(const StereoFrame& pair, std::int64_t positio
     out.frame = impl_->MeasurePlaced(pair, at, out);
   }
   if (!out.frame.wheel.found) out.frame.wheel.problem = out.frame.problem;
+  impl_->AddContact(at, &out.frame);
   out.frame.index = pair.index;
   out.frame.time_s = pair.time_s;
   out.frame.left_id = pair.left_id;

@@ -12,6 +12,7 @@
 #include "apps/surface_evaluation.h"
 #include "io/image_source.h"
 #include "io/series_writer.h"
+#include "track/rolling_contact.h"
 #include "track/rolling_survey.h"
 #include "track/wheel_reference.h"
 
@@ -40,11 +41,11 @@ using RollingProgress = std::function<bool(std::int64_t done, std::int64_t total
 //   each pair -> matches with the nearest view -> points in space
 //             -> displacement from the undeformed wheel turned to the same angle, strain  (Measure)
 //
-// What needs all frames, such as how the rig turns over the ground, follows from the sparse points
-// after Survey(); what needs one frame and the one before belongs into Measure().
+// What needs all frames, as how the rig turns over the ground, follows from the sparse points
+// (FindContact).
 //
-// Frame:  positions are in the rig frame, as the wheel's axis holds it: along a calibration mode
-//         the axis stays where it is.
+// Frame:  the ground's, where it was found in the frame; else the rig's, as the wheel's axis holds
+//         it: along a calibration mode the axis stays where it is.
 // Grid:   the same pixels in the left image of every view; the point of a frame is the material
 //         that is there in the view, and seen within half a view's spacing of it.
 // Frames are independent of each other once the survey is done: a recording can be cut anywhere.
@@ -58,6 +59,11 @@ class RollingRun {
   // The first pass. False: stopped. Throws InputError where no frame is on the wheel, saying why,
   // and as the source.
   bool Survey(ImageSource& source, const RollingProgress& progress);
+
+  // After Survey(): the ground under the tyre, its contact and its slip in every frame; positions
+  // are then told in the ground frame of their moment. What depends on the survey's points in
+  // `options` is set here. Throws as FindRollingContact().
+  void FindContact(RollingContactOptions options);
 
   // After Survey().
   const RollingWheel& wheel() const;

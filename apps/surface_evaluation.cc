@@ -445,7 +445,8 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s,
     Restart();
     return out;
   }
-  const SurfaceState instant = InFrame(surface.instant, impl.frame);
+  SurfaceState instant = InFrame(surface.instant, impl.frame);
+  if (body != nullptr && body->told_in) instant = InFrame(instant, *body->told_in);
   const SurfaceMotion motion =
       body == nullptr ? MotionBetween(impl.at_reference, instant, impl.unit)
                       : internal::MotionFromBody(impl.at_reference,

@@ -56,6 +56,9 @@ struct BodyMotion {
   // The motion when one cause is off by one sigma: those of noise, independent of each other, and
   // those that all frames have in common, beside the modes.
   std::vector<Rigid3> random, common;
+  // The frame of this moment that the result is told in, from the one that positions are told in
+  // else; the motions above then lead into it.
+  std::optional<MeasurementFrame> told_in = {};
 };
 
 // Numbers that sum one frame up, for people: medians over the valid points; NaN without any. Sigmas

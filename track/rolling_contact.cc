@@ -42,15 +42,6 @@ Eigen::Matrix<double, 6, 3> FrameAlongPose(const RigPose& pose, const WheelAxis&
   return J;
 }
 
-UncertainFrame GroundFrame(const RigRotationFrame& rotation, const WheelAxis& axis) {
-  UncertainFrame ground;
-  ground.frame_from_rig = rotation.ground.frame_from_rig;
-  ground.along_modes = rotation.ground.along_modes;
-  const Eigen::Matrix<double, 6, 3> J = FrameAlongPose(rotation.pose, axis);
-  ground.cov_random = J * rotation.cov_random * J.transpose();
-  return ground;
-}
-
 // Even-odd rule over all outlines: holes are outside.
 bool Inside(const std::vector<Polygon>& outlines, const Eigen::Vector2d& p) {
   bool inside = false;
@@ -303,7 +294,7 @@ MaterialFrame ContactOfRun::MaterialOf(std::size_t f, const RollingContact& cont
   frame.contact = InContact(points, contact.frames[f]);
   frame.points = std::move(points.now);
   frame.material = std::move(points.material);
-  frame.ground = GroundFrame(contact.frames[f].rotation, reference_.axis);
+  frame.ground = GroundFrameOf(contact.frames[f].rotation, reference_.axis);
   return frame;
 }
 
@@ -319,7 +310,7 @@ void ContactOfRun::Deform(std::size_t f, RollingContact* contact) const {
   wheel.axis = reference_.axis;
   wheel.cov_axis_random = reference_.cov_axis_random;
   wheel.axis_along_modes = reference_.axis_along_modes;
-  wheel.ground = GroundFrame(out.rotation, reference_.axis);
+  wheel.ground = GroundFrameOf(out.rotation, reference_.axis);
   out.deformation = MeasureDeformation(wheel, neighbours_, options_.deformation);
 }
 
@@ -414,6 +405,15 @@ RollingContact ContactOfRun::Find() {
 }
 
 }  // namespace
+
+UncertainFrame GroundFrameOf(const RigRotationFrame& rotation, const WheelAxis& axis) {
+  UncertainFrame ground;
+  ground.frame_from_rig = rotation.ground.frame_from_rig;
+  ground.along_modes = rotation.ground.along_modes;
+  const Eigen::Matrix<double, 6, 3> J = FrameAlongPose(rotation.pose, axis);
+  ground.cov_random = J * rotation.cov_random * J.transpose();
+  return ground;
+}
 
 void RollingContactOptions::Check() const {
   carcass.Check();

@@ -48,6 +48,9 @@ struct RollingContactFrame {
   WheelDeformation deformation;
 };
 
+// The ground frame of a rotation that was found, with what its pose's errors do to it.
+[[nodiscard]] UncertainFrame GroundFrameOf(const RigRotationFrame& rotation, const WheelAxis& axis);
+
 struct RollingContact {
   bool found = false;                       // the ground, in any frame
   std::string problem;                      // why not

@@ -89,7 +89,7 @@ class InfoCommand : public Command {
       } else {
         line += fmt::format(": {} points, in the {} frame", valid,
                             frame.surface.frame == SurfaceFrame::kGround ? "ground" : "rig");
-        if (frame.ground.found) {
+        if (frame.ground.found && std::isfinite(frame.ground.rms_mm)) {
           row["plane_rms_mm"] = frame.ground.rms_mm;
           line += fmt::format(", plane rms {:.1f} um", 1000 * frame.ground.rms_mm);
         }

@@ -10,6 +10,7 @@
 
 #include "apps/internal/channel_options.h"
 #include "apps/internal/command.h"
+#include "apps/internal/contact_options.h"
 #include "apps/internal/measure_flow.h"
 #include "apps/internal/measure_report.h"
 #include "apps/internal/recording_options.h"
@@ -100,7 +101,8 @@ class MeasureCommand : public Command {
   MeasureOptions SgbmOptions(std::uint64_t seed) const;
   Measurement Sgbm(const RigInput& rig, std::uint64_t seed) const;
   Measurement Dic(const RigInput& rig, std::uint64_t seed) const;
-  std::optional<Measurement> Rolling(const CommonOptions& common) const;
+  std::optional<Measurement> Rolling(const CommonOptions& common,
+                                     const std::vector<Channel>& channels) const;
   StereoRunOptions DicOptions(std::uint64_t seed, int bits) const;
   void CheckRolling() const;
   RigInput Rig() const;
@@ -117,12 +119,14 @@ class MeasureCommand : public Command {
   MeasureOptions sgbm_;
   StereoOptionSet dic_;
   RollingOptionSet rolling_;
+  ContactOptionSet contact_;
   EvaluationOptionSet evaluation_;
 };
 
 void MeasureCommand::Declare(OptionTable& options) {
   recording_.Declare(options, false);
   rolling_.Declare(options);
+  contact_.Declare(options);
   options.Add(
       {.name = "output", .help = "where the result goes", .unit = "FILE", .short_name = "o"},
       &output_);
@@ -322,11 +326,13 @@ void MeasureCommand::CheckRolling() const {
 }
 
 // The first pass over a rolling tyre. Nothing: stopped.
-std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common) const {
+std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common,
+                                                   const std::vector<Channel>& channels) const {
   std::vector<fs::path> files;
   const int bits = ReferencePair(&files).left.bits;
   const auto run = std::make_shared<RollingRun>(
       rolling_.Wheel(), rolling_.Options(DicOptions(common.seed, bits), dic_.order_given()));
+  RollingContactOptions contact = contact_.Options(run->reference().profile.crown_y_mm);
   const auto source = recording_.Open();
   std::optional<Progress> progress(std::in_place, "finding the wheel", source->DeclaredCount(),
                                    common.progress());
@@ -336,6 +342,8 @@ std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common) 
   });
   progress.reset();
   if (!whole) return std::nullopt;
+  contact_.AddChannels(channels, run->wheel(), &contact);
+  run->FindContact(std::move(contact));
   Measurement out{run->Header(), {}, {}, 1, run->Notes(), files};
   out.measure = [run](const StereoFrame& pair, std::int64_t position) {
     return Reported(run->Measure(pair, position));
@@ -399,7 +407,7 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
   const InterruptGuard guard;
   std::optional<Measurement> chosen;
   if (rolling_.given()) {
-    chosen = Rolling(common);
+    chosen = Rolling(common, channels);
   } else {
     chosen = dic ? Dic(rig, common.seed) : Sgbm(rig, common.seed);
   }

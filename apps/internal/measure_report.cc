@@ -79,7 +79,7 @@ MeasureReport::MeasureReport(std::filesystem::path output, std::int64_t declared
 void MeasureReport::Add(const ReportedFrame& measured) {
   frames_.push_back({measured.frame.index, measured.frame.left_id, measured.frame.problem,
                      measured.summary, measured.frame.ground, measured.frame.rig_watch,
-                     measured.motion});
+                     measured.motion, RollingReportOf(measured.frame)});
 }
 
 std::string MeasureReport::ShareText() const {
@@ -137,7 +137,9 @@ std::string MeasureReport::MotionText(const Row& row) const {
     return text;
   };
   std::string text;
-  if (row.ground.found) {
+  if (row.rolling) {
+    text += TextOf(*row.rolling);
+  } else if (row.ground.found) {
     text += fmt::format("  Plane: {:.1f} % of the points, rms distance {:.1f} um.\n",
                         100 * row.ground.inlier_fraction, 1000 * row.ground.rms_mm);
   }
@@ -224,6 +226,7 @@ nlohmann::json MeasureReport::Json() const {
                             {"grid_points", row.summary.grid_points},
                             {"valid_points", row.summary.valid_points}};
     if (row.motion) frame["motion"] = MotionJson(row);
+    if (row.rolling) frame["rolling"] = JsonOf(*row.rolling);
     if (row.ground.found) {
       const GroundAngles angles = AnglesOf(row.ground);
       frame["plane"] = {

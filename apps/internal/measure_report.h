@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "apps/internal/command.h"
+#include "apps/internal/rolling_report.h"
 #include "apps/pipeline.h"
 #include "apps/surface_evaluation.h"
 #include "calib/image.h"
@@ -62,6 +63,7 @@ class MeasureReport {
     GroundRecord ground;
     RigWatchRecord watch;
     std::optional<SurfaceSummary> motion;
+    std::optional<RollingReport> rolling;
   };
   std::string FrameText(const Row& row) const;
   std::string MotionText(const Row& row) const;

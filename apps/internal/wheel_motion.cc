@@ -30,6 +30,25 @@ const WheelReferenceView& ViewOf(const WheelReference& wheel, const RollingWheel
   return wheel.views[rolling.frames[frame].view];
 }
 
+// cov_centre: random, in the rig frame.
+void TellInGround(const UncertainFrame& ground, const Eigen::Matrix3d& cov_centre,
+                  WheelRecord* record) {
+  const Eigen::Matrix3d& turn = ground.frame_from_rig.rotation;
+  record->axis = turn * record->axis;
+  record->centre_mm = ground.frame_from_rig * record->centre_mm;
+  Eigen::Matrix<double, 3, 6> d_centre, d_axis;
+  d_centre << -Skew(record->centre_mm), Eigen::Matrix3d::Identity();
+  d_axis << -Skew(record->axis), Eigen::Matrix3d::Zero();
+  record->cov_axis_random = turn * record->cov_axis_random * turn.transpose() +
+                            d_axis * ground.cov_random * d_axis.transpose();
+  record->cov_axis_calibration = turn * record->cov_axis_calibration * turn.transpose();
+  const Eigen::Matrix3d cov =
+      turn * cov_centre * turn.transpose() + d_centre * ground.cov_random * d_centre.transpose();
+  record->sigma_random_centre_mm = cov.diagonal().cwiseSqrt();
+  record->sigma_calibration_centre_mm =
+      (turn.cwiseAbs2() * record->sigma_calibration_centre_mm.cwiseAbs2()).cwiseSqrt();
+}
+
 }  // namespace
 
 MeasurementFrame FrameOfWheel(const WheelReference& wheel) {
@@ -78,8 +97,39 @@ MaterialField MaterialOf(const Rigid3& rig_from_wheel, const SeriesFrame& frame)
   return material;
 }
 
+BodyMotion InGround(BodyMotion body, const MeasurementFrame& ground,
+                    const MeasurementFrame& wheel_frame) {
+  // Told first in the frame that the wheel holds, which moves with the modes in the rig.
+  MeasurementFrame told{ground.frame_from_rig, {}};
+  MeasurementFrame& motion = body.now_from_reference;
+  for (std::size_t k = 0; k < ground.along_modes.size(); ++k) {
+    told.along_modes.push_back(ground.along_modes[k] * wheel_frame.along_modes[k].Inverse());
+    motion.along_modes[k] = told.along_modes[k] * motion.along_modes[k];
+  }
+  motion.frame_from_rig = told.frame_from_rig * motion.frame_from_rig;
+  for (Rigid3& moved : body.random) moved = told.frame_from_rig * moved;
+  for (Rigid3& moved : body.common) moved = told.frame_from_rig * moved;
+  body.told_in = std::move(told);
+  return body;
+}
+
+void AddGroundErrors(const UncertainFrame& ground, Surface* surface) {
+  const Eigen::Matrix<float, 6, 6> roots = ground.Root().cast<float>();
+  for (std::size_t i = 0; i < surface->position_mm.pixel_count(); ++i) {
+    const Eigen::Vector3f& p = surface->position_mm.data()[i];
+    if (!p.allFinite()) continue;
+    Eigen::Vector3f& sigma = surface->sigma_random_mm.data()[i];
+    Eigen::Vector3f variance = sigma.cwiseAbs2();
+    for (int k = 0; k < 6; ++k) {
+      const Eigen::Vector3f turn = roots.col(k).head<3>(), shift = roots.col(k).tail<3>();
+      variance += (turn.cross(p) + shift).cwiseAbs2();
+    }
+    sigma = variance.cwiseSqrt();
+  }
+}
+
 WheelRecord WheelRecordOf(const WheelReference& wheel, const RollingWheel& rolling,
-                          std::size_t frame) {
+                          std::size_t frame, const UncertainFrame* ground) {
   const RollingFrame& now = rolling.frames[frame];
   const WheelProfile& profile = wheel.profile;
   WheelRecord record;
@@ -104,6 +154,8 @@ WheelRecord WheelRecordOf(const WheelReference& wheel, const RollingWheel& rolli
   };
   record.sigma_random_centre_mm = sigma(wheel.cov_axis_random);
   record.sigma_calibration_centre_mm = sigma(wheel.cov_axis_calibration);
+  if (ground != nullptr)
+    TellInGround(*ground, d_centre * wheel.cov_axis_random * d_centre.transpose(), &record);
   record.sigma_random_radius_mm = profile.sigma_crown_random_mm;
   record.sigma_calibration_radius_mm = profile.sigma_crown_calibration_mm;
   record.sigma_random_angle_rad = now.sigma_random_rad;

@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 
 #include "apps/surface_evaluation.h"
+#include "fit/surface_points.h"
 #include "io/series_frame.h"
 #include "track/rolling_survey.h"
 #include "track/surface_state.h"
@@ -21,9 +22,18 @@ BodyMotion TurnSinceView(const WheelReference& wheel, const RollingWheel& rollin
 // Which material the points of a frame are: where they are displaced from, in the wheel frame.
 MaterialField MaterialOf(const Rigid3& rig_from_wheel, const SeriesFrame& frame);
 
-// In the rig frame; `frame` is placed. The centre is the point of the axis in the middle of the
-// tread, where the cross-section has its largest radius, where that is seen.
+// The same, told in the ground frame of the moment. wheel_frame: FrameOfWheel().
+BodyMotion InGround(BodyMotion in_rig, const MeasurementFrame& ground,
+                    const MeasurementFrame& wheel_frame);
+
+// In the ground frame, or without one in the rig frame; `frame` is placed. The centre is the point
+// of the axis in the middle of the tread, where the cross-section has its largest radius, where
+// that is seen. Along a calibration mode ground and axis move together: its sigmas of axis and
+// centre are those in the rig frame.
 WheelRecord WheelRecordOf(const WheelReference& wheel, const RollingWheel& rolling,
-                          std::size_t frame);
+                          std::size_t frame, const UncertainFrame* ground);
+
+// What is not known of the ground frame, in the random sigmas of positions in it.
+void AddGroundErrors(const UncertainFrame& ground, Surface* surface);
 
 }  // namespace plumbline::internal

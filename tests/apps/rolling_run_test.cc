@@ -203,6 +203,58 @@ TEST_F(RollingTyre, FollowsTheMaterial) {
   EXPECT_GT(both, 100);
 }
 
+TEST_F(RollingTyre, IsToldInTheFrameOfTheGroundUnderIt) {
+  RollingRun run(*reference_, Options());
+  Recording recording(*pairs_);
+  ASSERT_TRUE(run.Survey(recording, [](std::int64_t, std::int64_t) { return true; }));
+  RollingContactOptions contact;
+  contact.carcass.thickness_mm = {20};
+  contact.slip.convention = SlipConvention::kSaeJ670;
+  run.FindContact(contact);
+  const SeriesHeader header = run.Header();
+  EXPECT_TRUE(header.contents.patch && header.contents.slip && header.contents.deformation);
+  EXPECT_EQ(header.slip_convention, "SAE J670");
+  const SeriesFrame frame = run.Measure((*pairs_)[0], 0).frame;
+  ASSERT_THAT(frame.problem, IsEmpty());
+  EXPECT_EQ(frame.surface.frame, SurfaceFrame::kGround);
+  const auto truth = tyre_->Truth(0);
+  std::vector<double> height, risen;
+  for (int r = 0; r < header.grid_px.height(); ++r) {
+    for (int c = 0; c < header.grid_px.width(); ++c) {
+      if (frame.surface.status(r, c) != Status::kOk) continue;
+      const auto there = truth->UnderLeftPixel(
+          (header.grid_px(r, c) + frame.match.left_displacement_px(r, c)).cast<double>());
+      ASSERT_TRUE(there.has_value());
+      height.push_back(std::abs(static_cast<double>(frame.surface.position_mm(r, c).z()) -
+                                there->position_mm.z()));
+      risen.push_back(std::abs(static_cast<double>(frame.displacement.value_mm(r, c).z()) -
+                               there->displacement_mm.z()));
+      EXPECT_GT(frame.surface.sigma_random_mm(r, c).z(), 0);
+    }
+  }
+  ASSERT_GT(height.size(), 500U);
+  EXPECT_LT(Median(height), 0.06);
+  EXPECT_LT(Median(risen), 0.05);
+  EXPECT_LT(frame.wheel.axis.cross(Eigen::Vector3d::UnitY()).norm(), 0.05 * kDegrees);
+  EXPECT_NEAR(frame.wheel.centre_mm.z(), 386, 0.1);
+  EXPECT_NEAR(frame.wheel.centre_mm.x(), 0, 0.2);
+  const Eigen::Vector3d normal = truth->ground_from_rig().rotation.row(2);
+  EXPECT_LT((frame.ground.normal_in_rig - normal).norm(), 0.05 * kDegrees);
+  EXPECT_TRUE(frame.rig_rotation.found);
+  EXPECT_NEAR(frame.deformation.loaded_radius_mm, 386, 0.1);
+  EXPECT_NEAR(frame.deformation.deflection_mm, 18, 0.3);
+  ASSERT_TRUE(frame.slip.found) << frame.slip.problem;
+  EXPECT_TRUE(std::isnan(frame.slip.ratio));  // nobody told the radius of free rolling
+  const double speed = std::get<TyreOptions>(tyre_->scenario().surface).speed_mm_s;
+  const double stretched = tyre_->scenario().frames_per_second * kFrame_s;  // the clock of the test
+  EXPECT_NEAR(frame.slip.speed_mm_s * stretched / speed, 1, 0.02);
+  // Another tyre's frame has none of it, and says why; the rig's rotation is that of the others.
+  const SeriesFrame foreign = run.Measure(pairs_->back(), kFrames).frame;
+  EXPECT_FALSE(foreign.patch.found || foreign.slip.found || foreign.deformation.found);
+  EXPECT_EQ(foreign.rig_rotation.lean, 1);
+  EXPECT_THAT(foreign.patch.problem, ::testing::Not(IsEmpty()));
+}
+
 TEST_F(RollingTyre, SaysWhyNothingIsOnTheWheel) {
   RollingRun run(*reference_, Options());
   Recording recording({pairs_->back()});
@@ -254,6 +306,11 @@ TEST_F(RollingTyre, IsMeasuredByTheCommand) {
   refused("--rig " + path("rig.h5") + " --reference " + path("wheel.h5"), 2, "leave out --rig");
   refused("--matcher sgbm --reference " + path("wheel.h5"), 2, "not sgbm");
   refused("--reference-frame 0 --reference " + path("wheel.h5"), 2, "--reference-frame");
+  const std::string wheel = "--reference " + path("wheel.h5");
+  refused(wheel + " --carcass 20,20", 2, "thickness in mm");
+  refused(wheel + " --carcass=10:20,-10:20", 2, "ascend");
+  refused(wheel + " --ground-turns 157", 2, "three angles");
+  refused(wheel + " --fps 10 --vehicle-speed v", 2, "no channel 'v'");
   refused("--reference " + path("rig.h5"), 3, "rig.h5");
   refused("--reference " + path("none.h5"), 3, "none.h5");
 }

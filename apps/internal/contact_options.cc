@@ -1,0 +1,191 @@
+#include "apps/internal/contact_options.h"
+
+#include <fmt/format.h>
+
+#include <algorithm>
+#include <charconv>
+#include <cmath>
+
+#include "calib/error.h"
+
+namespace plumbline::internal {
+namespace {
+
+// Numbers parted by one character; nothing where it is not that.
+std::optional<std::vector<double>> ParseNumbers(const std::string& text, char parted_by) {
+  std::vector<double> numbers;
+  const char* at = text.data();
+  const char* const end = at + text.size();
+  while (true) {
+    double number = 0;
+    const auto [next, error] = std::from_chars(at, end, number);
+    if (error != std::errc() || !std::isfinite(number)) return std::nullopt;
+    numbers.push_back(number);
+    if (next == end) return numbers;
+    if (*next != parted_by) return std::nullopt;
+    at = next + 1;
+  }
+}
+
+// "20", or "-100:22,0:20,100:22": millimetres of thickness by place.
+CarcassThickness ParseCarcass(const std::string& text, double crown_y_mm) {
+  CarcassThickness carcass;
+  const auto refuse = [&] {
+    return UsageError(fmt::format(
+        "The carcass is one thickness in mm, as 20, or thicknesses by place along the axis from "
+        "the middle of the tread, as -100:22,0:20,100:22, not '{}'.",
+        text));
+  };
+  if (text.find(':') == std::string::npos) {
+    const auto one = ParseNumbers(text, ',');
+    if (!one || one->size() != 1) throw refuse();
+    carcass.thickness_mm = *one;
+  } else {
+    std::size_t begin = 0;
+    while (begin <= text.size()) {
+      const std::size_t comma = std::min(text.find(',', begin), text.size());
+      const auto pair = ParseNumbers(text.substr(begin, comma - begin), ':');
+      if (!pair || pair->size() != 2) throw refuse();
+      carcass.y_mm.push_back(crown_y_mm + (*pair)[0]);
+      carcass.thickness_mm.push_back((*pair)[1]);
+      begin = comma + 1;
+    }
+  }
+  carcass.Check();
+  return carcass;
+}
+
+const Channel& Named(const std::vector<Channel>& channels, const std::string& name) {
+  const auto found = std::find_if(channels.begin(), channels.end(),
+                                  [&](const Channel& channel) { return channel.name == name; });
+  if (found != channels.end()) return *found;
+  std::string there;
+  for (const Channel& channel : channels) {
+    there += (there.empty() ? "" : ", ") + channel.name;
+  }
+  throw UsageError(fmt::format("There is no channel '{}' in the table of --channels{}.", name,
+                               there.empty() ? "" : "; there are " + there));
+}
+
+double MillimetresASecond(const Channel& channel) {
+  if (channel.units == "m/s") return 1e3;
+  if (channel.units == "km/h") return 1e3 / 3.6;
+  if (channel.units == "mm/s") return 1;
+  throw UsageError(
+      fmt::format("The channel '{}' of the vehicle's speed is in '{}': m/s, km/h or "
+                  "mm/s are understood.",
+                  channel.name, channel.units));
+}
+
+}  // namespace
+
+void ContactOptionSet::Declare(OptionTable& options) {
+  options.Add({.name = "carcass",
+               .help = "thickness of a tyre's carcass with its tread, under the inner surface that "
+                       "is seen: one for all, or by place along the axis from the middle of the "
+                       "tread, as -100:22,0:20,100:22. With 0 the ground is where the inner "
+                       "surface lies flat",
+               .unit = "mm"},
+              &carcass_);
+  options.Add({.name = "ground-turns",
+               .help = "how the rig is turned over the ground, by hand: degrees about its x, y, z "
+                       "axes as 157,0,0; the undeformed minimum is then at z = 0. Empty: from the "
+                       "contact with the ground in every frame, smoothed",
+               .unit = "deg"},
+              &ground_turns_);
+  options.Add({.name = "contact-threshold",
+               .help = "gap that still counts as contact where the law of lift-off does not hold, "
+                       "as over an obstacle",
+               .unit = "mm",
+               .min = 0,
+               .max = 50},
+              &threshold_mm_);
+  options.Add({.name = "free-rolling-radius",
+               .help = "travel a radian of the wheel without slip, as a run without drive or brake "
+                       "tells it (effective_radius_mm); without it there is no slip ratio",
+               .unit = "mm",
+               .min = 1,
+               .max = 1e5},
+              &radius_mm_);
+  options.Add({.name = "free-rolling-radius-sigma",
+               .help = "standard deviation of it",
+               .unit = "mm",
+               .min = 0,
+               .max = 1e4},
+              &radius_sigma_mm_);
+  options.Add({.name = "vehicle-speed",
+               .help = "channel of --channels with the vehicle's speed, for a slip ratio by it"},
+              &vehicle_speed_);
+  options.Add({.name = "vehicle-speed-sigma",
+               .help = "standard deviation of one sample of it",
+               .unit = "m/s",
+               .min = 0,
+               .max = 1e3},
+              &vehicle_speed_sigma_m_s_);
+  options.Add({.name = "wheel-speed",
+               .help = "channel of --channels with the wheel's speed: what tells the offset of the "
+                       "logger's clock where --channel-offset does not"},
+              &wheel_speed_);
+  options.Add({.name = "slip-convention",
+               .help = "signs and definitions of slip (docs/theory.md)",
+               .choices = {"iso8855", "sae-j670"}},
+              &convention_);
+}
+
+RollingContactOptions ContactOptionSet::Options(double crown_y_mm) const {
+  RollingContactOptions options;
+  options.carcass = ParseCarcass(carcass_, std::isfinite(crown_y_mm) ? crown_y_mm : 0);
+  options.patch.threshold.threshold_mm = threshold_mm_;
+  options.slip.convention =
+      convention_ == "iso8855" ? SlipConvention::kIso8855 : SlipConvention::kSaeJ670;
+  if (!ground_turns_.empty()) {
+    const auto turns = ParseNumbers(ground_turns_, ',');
+    if (!turns || turns->size() != 3) {
+      throw UsageError(
+          fmt::format("The turns of the rig are three angles in degrees, as 157,0,0, not '{}'.",
+                      ground_turns_));
+    }
+    options.manual_turns_deg = Eigen::Vector3d((*turns)[0], (*turns)[1], (*turns)[2]);
+  }
+  if (radius_mm_) {
+    MeasuredScalar radius;
+    radius.value = *radius_mm_;
+    radius.sigma_random = radius_sigma_mm_;
+    options.free_rolling_radius_mm = radius;
+  }
+  options.Check();
+  return options;
+}
+
+void ContactOptionSet::AddChannels(const std::vector<Channel>& channels,
+                                   const RollingWheel& rolling,
+                                   RollingContactOptions* options) const {
+  if (vehicle_speed_.empty()) return;
+  const Channel& vehicle = Named(channels, vehicle_speed_);
+  const double scale = MillimetresASecond(vehicle);
+  SampledSignal speed{vehicle.time_s, vehicle.value};
+  for (double& value : speed.value) value *= scale;
+  if (std::isfinite(vehicle.clock_offset_s)) {
+    options->channel_clock.offset_s = vehicle.clock_offset_s;
+    if (std::isfinite(vehicle.sigma_clock_offset_s)) {
+      options->channel_clock.sigma_s = vehicle.sigma_clock_offset_s;
+    }
+  } else if (!wheel_speed_.empty()) {
+    const Channel& theirs = Named(channels, wheel_speed_);
+    SampledSignal ours;
+    for (const RollingFrame& frame : rolling.frames) {
+      if (!std::isfinite(frame.speed_rad_s)) continue;
+      ours.time_s.push_back(frame.time_s);
+      ours.value.push_back(frame.speed_rad_s);
+    }
+    options->channel_clock = FindClockOffset(ours, {theirs.time_s, theirs.value});
+  } else {
+    throw UsageError(
+        "How the logger's clock goes against the cameras' is not known: give --channel-offset, or "
+        "with --wheel-speed the channel of the wheel's speed.");
+  }
+  options->vehicle_speed_mm_s = std::move(speed);
+  options->sigma_vehicle_speed_mm_s = 1e3 * vehicle_speed_sigma_m_s_;
+}
+
+}  // namespace plumbline::internal
