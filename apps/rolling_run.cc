@@ -160,6 +160,19 @@ std::vector<std::string> RollingRun::Notes() const {
   if (impl_->contact && !impl_->contact->found) {
     notes.push_back("The ground is in no frame: " + impl_->contact->problem);
   }
+  if (impl_->contact) {
+    const auto& found = impl_->contact->frames;
+    const auto obstacles = std::count_if(found.begin(), found.end(), [](const auto& f) {
+      return f.rotation.found && f.patch.by == FramePatch::By::kThreshold;
+    });
+    if (obstacles > 0) {
+      notes.push_back(fmt::format(
+          "In {} frames the contact is not that of flat ground. What passes under the wheel moves "
+          "its surface as a turn does: wheel angles may be off by a degree there, and effective "
+          "radius and slip ratio by some per cent, which their sigmas do not tell.",
+          obstacles));
+    }
+  }
   if (!impl_->reference.closed) {
     notes.push_back(
         "The wheel's reference is not of a full turn: frames beyond its arc are not found on it.");

@@ -9,6 +9,7 @@
 
 #include "calib/error.h"
 #include "calib/median.h"
+#include "track/internal/maximise.h"
 
 namespace plumbline {
 namespace {
@@ -117,28 +118,6 @@ double LeftOut(const Series& series, const Pass& pass, std::size_t i, double* va
   return (series.value[i] - pass.state[i][0]) / std::sqrt(R - P);
 }
 
-// The largest of f over log10 q, by a grid and then golden section.
-template <typename Function>
-double Largest(double low, double high, const Function& f) {
-  constexpr int kGrid = 24, kSteps = 18;
-  double best = low, value = -std::numeric_limits<double>::infinity();
-  const double step = (high - low) / kGrid;
-  for (int k = 0; k <= kGrid; ++k) {
-    const double now = f(low + k * step);
-    if (now > value) {
-      value = now;
-      best = low + k * step;
-    }
-  }
-  double a = std::max(low, best - step), b = std::min(high, best + step);
-  const double golden = (std::sqrt(5.0) - 1) / 2;
-  for (int k = 0; k < kSteps; ++k) {
-    const double c = b - golden * (b - a), d = a + golden * (b - a);
-    (f(c) > f(d) ? b : a) = f(c) > f(d) ? d : c;
-  }
-  return (a + b) / 2;
-}
-
 // log10 of q over the angles' median variance: from no change of acceleration to no smoothing.
 constexpr double kLowest = -9, kHighest = 5;
 
@@ -152,19 +131,20 @@ double MedianVariance(const Series& series) {
 
 double RobustNoise(const Series& series) {
   const double unit = MedianVariance(series);
-  return unit * std::pow(10, Largest(kLowest, kHighest, [&](double log_q) {
-                           const Pass pass = Smooth(series, unit * std::pow(10, log_q));
-                           double sum = 0;
-                           constexpr double kFreedom = 4;
-                           for (std::size_t i = 0; i < series.value.size(); ++i) {
-                             if (!Measured(series, i)) continue;
-                             double variance = 0;
-                             const double t = LeftOut(series, pass, i, &variance);
-                             sum -= (kFreedom + 1) / 2 * std::log1p(t * t / kFreedom) +
-                                    std::log(variance) / 2;
-                           }
-                           return sum;
-                         }));
+  return unit *
+         std::pow(
+             10, internal::Maximise(kLowest, kHighest, internal::SearchSteps(), [&](double log_q) {
+               const Pass pass = Smooth(series, unit * std::pow(10, log_q));
+               double sum = 0;
+               constexpr double kFreedom = 4;
+               for (std::size_t i = 0; i < series.value.size(); ++i) {
+                 if (!Measured(series, i)) continue;
+                 double variance = 0;
+                 const double t = LeftOut(series, pass, i, &variance);
+                 sum -= (kFreedom + 1) / 2 * std::log1p(t * t / kFreedom) + std::log(variance) / 2;
+               }
+               return sum;
+             }));
 }
 
 double ScatterOf(const Pass& pass) {
@@ -174,13 +154,14 @@ double ScatterOf(const Pass& pass) {
 
 double LikelyNoise(const Series& series) {
   const double unit = MedianVariance(series);
-  return unit * std::pow(10, Largest(kLowest, kHighest, [&](double log_q) {
-                           const Pass pass = Smooth(series, unit * std::pow(10, log_q));
-                           const double scatter = ScatterOf(pass);
-                           return -(pass.chi2 / (scatter * scatter) + pass.log_variance +
-                                    2 * pass.innovations * std::log(scatter)) /
-                                  2;
-                         }));
+  return unit * std::pow(10, internal::Maximise(
+                                 kLowest, kHighest, internal::SearchSteps(), [&](double log_q) {
+                                   const Pass pass = Smooth(series, unit * std::pow(10, log_q));
+                                   const double scatter = ScatterOf(pass);
+                                   return -(pass.chi2 / (scatter * scatter) + pass.log_variance +
+                                            2 * pass.innovations * std::log(scatter)) /
+                                          2;
+                                 }));
 }
 
 // Marks what the others contradict, the worst first.

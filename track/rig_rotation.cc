@@ -13,6 +13,7 @@
 #include <utility>
 
 #include "calib/error.h"
+#include "track/internal/maximise.h"
 #include "track/internal/pose_filter.h"
 
 namespace plumbline {
@@ -27,7 +28,8 @@ using Of = PoseObservation::Of;
 constexpr double kDegree = std::numbers::pi / 180;
 // Where nothing is known of the first frame.
 const RigPose kWide(0.5, 0.3, 100);
-constexpr int kSweeps = 3, kCoarse = 12, kGolden = 14;
+constexpr int kSweeps = 3;
+constexpr internal::SearchSteps kSearch{12, 14};
 constexpr int kOutlierRounds = 20;
 
 double InWheel(const GroundPlane& plane, const WheelAxis& axis, Eigen::Vector3d* normal) {
@@ -41,38 +43,6 @@ PoseLikelihood BothWays(std::span<const PoseObservation> frames, const PoseModel
   PoseLikelihood forwards = LikelihoodOf(frames, model, false);
   PoseLikelihood backwards = LikelihoodOf(frames, model, true);
   return forwards.log_likelihood >= backwards.log_likelihood ? forwards : backwards;
-}
-
-// The largest value of f over [low, high]: the best of evenly spaced places, refined by golden
-// section between its neighbours.
-template <typename F>
-double Maximise(double low, double high, const F& f) {
-  double best = low, value = -std::numeric_limits<double>::infinity();
-  const double step = (high - low) / kCoarse;
-  for (int k = 0; k <= kCoarse; ++k) {
-    const double v = f(low + k * step);
-    if (v > value) {
-      value = v;
-      best = low + k * step;
-    }
-  }
-  double a = std::max(low, best - step), b = std::min(high, best + step);
-  const double golden = (std::sqrt(5.0) - 1) / 2;
-  double c = b - golden * (b - a), d = a + golden * (b - a), fc = f(c), fd = f(d);
-  for (int k = 0; k < kGolden; ++k) {
-    if (fc > fd) {
-      b = std::exchange(d, c);
-      fd = fc;
-      c = b - golden * (b - a);
-      fc = f(c);
-    } else {
-      a = std::exchange(c, d);
-      fc = fd;
-      d = a + golden * (b - a);
-      fd = f(d);
-    }
-  }
-  return fc > value || fd > value ? (fc > fd ? c : d) : best;
 }
 
 // The noise of the largest likelihood, one component after the other; those that are given stay.
@@ -89,7 +59,7 @@ PoseModel Likeliest(std::span<const PoseObservation> frames, PoseModel model,
   for (int sweep = 0; sweep < kSweeps; ++sweep) {
     for (int k = 0; k < 3; ++k) {
       if (given[static_cast<std::size_t>(k)]) continue;
-      const double best = Maximise(low[k], high[k], [&](double exponent) {
+      const double best = internal::Maximise(low[k], high[k], kSearch, [&](double exponent) {
         PoseModel tried = model;
         tried.noise[k] = std::pow(10, exponent);
         return BothWays(frames, tried).log_likelihood;

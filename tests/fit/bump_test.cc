@@ -7,32 +7,18 @@
 #include <random>
 
 #include "calib/error.h"
+#include "tests/fit/askew_surface.h"
 
 namespace plumbline {
 namespace {
 
-const ImageSize kSize{41, 35};
-constexpr double kPitch_mm = 5, kThickness_mm = 20, kSigma_mm = 0.05;
-const NeighbourCorrelation kIndependent = NeighbourCorrelation::OfOverlap(kSize, 5, 5, 1);
+using testing::AskewSurface;
+using testing::kAskewNeighbours;
+using testing::kAskewSigma_mm;
+
+constexpr double kThickness_mm = 20;
 
 using Height = std::function<double(double, double)>;
-
-// A grid that stands askew to the axes. Noise along z alone.
-SurfacePoints Surface(const Height& height_mm, std::mt19937* random = nullptr) {
-  std::normal_distribution<double> normal(0, kSigma_mm);
-  SurfacePoints surface;
-  surface.point_mm = Image<Eigen::Vector3d>(kSize, Eigen::Vector3d::Zero());
-  Eigen::Matrix<float, 6, 1> cov = Eigen::Matrix<float, 6, 1>::Zero();
-  cov[5] = static_cast<float>(kSigma_mm * kSigma_mm);
-  surface.cov_random_mm2 = Image<Eigen::Matrix<float, 6, 1>>(kSize, cov);
-  for (int r = 0; r < kSize.height; ++r) {
-    for (int c = 0; c < kSize.width; ++c) {
-      const double x = kPitch_mm * (c - 20 + 0.1 * (r - 17)), y = kPitch_mm * (17 - r);
-      surface.point_mm(r, c) = {x, y, height_mm(x, y) + (random != nullptr ? normal(*random) : 0)};
-    }
-  }
-  return surface;
-}
 
 // A bump of a bell's shape on ground that lifts off beyond 70 mm, with a rise at the edge that is
 // no bump.
@@ -46,10 +32,10 @@ Height Ground(const Eigen::Vector2d& at_mm, double height_mm) {
 
 TEST(Bump, IsFoundWithItsSigma) {
   std::mt19937 random(12);
-  const Image<double> thickness(kSize, kThickness_mm);
+  const Image<double> thickness(testing::kAskewSize, kThickness_mm);
   const Eigen::Vector2d at(12, -9);
   const BumpOptions options{.top_radius_mm = 0};
-  const auto exact = FindBumps(Surface(Ground(at, 5)), thickness, kIndependent, options);
+  const auto exact = FindBumps(AskewSurface(Ground(at, 5)), thickness, kAskewNeighbours, options);
   ASSERT_EQ(exact.size(), 1U);
   EXPECT_NEAR(exact[0].height_mm.value, 5, 0.2);
   EXPECT_NEAR(exact[0].clearance_mm.value, 5, 0.2);
@@ -58,7 +44,8 @@ TEST(Bump, IsFoundWithItsSigma) {
   double squares = 0;
   constexpr int kDraws = 100;
   for (int draw = 0; draw < kDraws; ++draw) {
-    const auto bumps = FindBumps(Surface(Ground(at, 5), &random), thickness, kIndependent, options);
+    const auto bumps =
+        FindBumps(AskewSurface(Ground(at, 5), &random), thickness, kAskewNeighbours, options);
     ASSERT_EQ(bumps.size(), 1U);
     squares += std::pow((bumps[0].height_mm.value - exact[0].height_mm.value) /
                             bumps[0].height_mm.sigma_random,
@@ -70,22 +57,25 @@ TEST(Bump, IsFoundWithItsSigma) {
 
 TEST(Bump, IsNotWhereTheGroundIsFlatOrTheTyreLiftsOff) {
   std::mt19937 random(13);
-  const Image<double> thickness(kSize, kThickness_mm);
-  EXPECT_TRUE(FindBumps(Surface(Ground({0, 0}, 0), &random), thickness, kIndependent).empty());
+  const Image<double> thickness(testing::kAskewSize, kThickness_mm);
+  EXPECT_TRUE(
+      FindBumps(AskewSurface(Ground({0, 0}, 0), &random), thickness, kAskewNeighbours).empty());
   // At the end of what is seen: it may go on.
-  EXPECT_TRUE(FindBumps(Surface(Ground({0, 85}, 9)), thickness, kIndependent).empty());
-  SurfacePoints holed = Surface(Ground({12, -9}, 5));
+  EXPECT_TRUE(FindBumps(AskewSurface(Ground({0, 85}, 9)), thickness, kAskewNeighbours).empty());
+  SurfacePoints holed = AskewSurface(Ground({12, -9}, 5));
   holed.point_mm(19, 22).setConstant(NAN);
-  EXPECT_TRUE(FindBumps(holed, thickness, kIndependent).empty());
-  EXPECT_EQ(FindBumps(Surface(Ground({12, -9}, 5)), thickness, kIndependent).size(), 1U);
+  EXPECT_TRUE(FindBumps(holed, thickness, kAskewNeighbours).empty());
+  EXPECT_EQ(FindBumps(AskewSurface(Ground({12, -9}, 5)), thickness, kAskewNeighbours).size(), 1U);
 }
 
 TEST(Bump, RefusesBadOptions) {
-  const SurfacePoints flat = Surface(Ground({0, 0}, 0));
-  const Image<double> thickness(kSize, kThickness_mm);
-  EXPECT_THROW((void)FindBumps(flat, thickness, kIndependent, {.least_height_mm = 0}), UsageError);
-  EXPECT_THROW((void)FindBumps(flat, thickness, kIndependent, {.flat_mm = 3}), UsageError);
-  EXPECT_THROW((void)FindBumps(flat, Image<double>({2, 2}), kIndependent), std::invalid_argument);
+  const SurfacePoints flat = AskewSurface(Ground({0, 0}, 0));
+  const Image<double> thickness(testing::kAskewSize, kThickness_mm);
+  EXPECT_THROW((void)FindBumps(flat, thickness, kAskewNeighbours, {.least_height_mm = 0}),
+               UsageError);
+  EXPECT_THROW((void)FindBumps(flat, thickness, kAskewNeighbours, {.flat_mm = 3}), UsageError);
+  EXPECT_THROW((void)FindBumps(flat, Image<double>({2, 2}), kAskewNeighbours),
+               std::invalid_argument);
 }
 
 }  // namespace

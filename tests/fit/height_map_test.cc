@@ -7,40 +7,22 @@
 #include <random>
 
 #include "calib/error.h"
+#include "tests/fit/askew_surface.h"
 
 namespace plumbline {
 namespace {
 
-const ImageSize kSize{41, 35};
-constexpr double kPitch_mm = 5, kSigma_mm = 0.05;
-const NeighbourCorrelation kIndependent = NeighbourCorrelation::OfOverlap(kSize, 5, 5, 1);
-
-using Height = std::function<double(double, double)>;
-
-// A grid that stands askew to the axes. Noise along z alone.
-SurfacePoints Surface(const Height& height_mm, std::mt19937* random = nullptr) {
-  std::normal_distribution<double> normal(0, kSigma_mm);
-  SurfacePoints surface;
-  surface.point_mm = Image<Eigen::Vector3d>(kSize, Eigen::Vector3d::Zero());
-  Eigen::Matrix<float, 6, 1> cov = Eigen::Matrix<float, 6, 1>::Zero();
-  cov[5] = static_cast<float>(kSigma_mm * kSigma_mm);
-  surface.cov_random_mm2 = Image<Eigen::Matrix<float, 6, 1>>(kSize, cov);
-  for (int r = 0; r < kSize.height; ++r) {
-    for (int c = 0; c < kSize.width; ++c) {
-      const double x = kPitch_mm * (c - 20 + 0.1 * (r - 17)), y = kPitch_mm * (17 - r);
-      surface.point_mm(r, c) = {x, y, height_mm(x, y) + (random != nullptr ? normal(*random) : 0)};
-    }
-  }
-  return surface;
-}
+using testing::AskewSurface;
+using testing::kAskewNeighbours;
+using testing::kAskewSigma_mm;
 
 double Roof(double x, double y) { return 30 + 0.2 * x - 0.1 * y; }
 
 TEST(HeightMap, IsExactOnAPlane) {
-  const SurfacePoints roof = Surface(Roof);
+  const SurfacePoints roof = AskewSurface(Roof);
   const GroundGrid grid = GridAround(roof, 3);
   EXPECT_EQ(std::fmod(grid.first_mm.x(), 3), 0);
-  const HeightMap map = HeightsOf(roof, grid, kIndependent);
+  const HeightMap map = HeightsOf(roof, grid, kAskewNeighbours);
   int known = 0;
   for (int r = 0; r < grid.size.height; ++r) {
     for (int c = 0; c < grid.size.width; ++c) {
@@ -55,10 +37,10 @@ TEST(HeightMap, IsExactOnAPlane) {
 }
 
 TEST(HeightMap, FillsNoGap) {
-  SurfacePoints roof = Surface(Roof);
+  SurfacePoints roof = AskewSurface(Roof);
   roof.point_mm(17, 20).setConstant(NAN);
   const GroundGrid grid{{-40, -40}, 1, {81, 81}};
-  const HeightMap map = HeightsOf(roof, grid, kIndependent);
+  const HeightMap map = HeightsOf(roof, grid, kAskewNeighbours);
   int gaps = 0;
   for (const double h : map.height_mm.values()) gaps += std::isnan(h) ? 1 : 0;
   EXPECT_NEAR(gaps, 4 * 25, 25);  // its four cells
@@ -68,14 +50,15 @@ TEST(HeightMap, FillsNoGap) {
 
 TEST(HeightMap, TakesTheLowerOfTwoSheets) {
   // The second half of the columns lies over the first.
-  SurfacePoints folded = Surface(Roof);
-  for (int r = 0; r < kSize.height; ++r) {
-    for (int c = 0; c < kSize.width; ++c) {
-      folded.point_mm(r, c) = {kPitch_mm * std::min(c, kSize.width - c), kPitch_mm * r,
-                               c < kSize.width / 2 ? 20.0 : 50.0};
+  SurfacePoints folded = AskewSurface(Roof);
+  for (int r = 0; r < testing::kAskewSize.height; ++r) {
+    for (int c = 0; c < testing::kAskewSize.width; ++c) {
+      folded.point_mm(r, c) = {testing::kAskewPitch_mm * std::min(c, testing::kAskewSize.width - c),
+                               testing::kAskewPitch_mm * r,
+                               c < testing::kAskewSize.width / 2 ? 20.0 : 50.0};
     }
   }
-  const HeightMap map = HeightsOf(folded, {{10, 10}, 5, {10, 10}}, kIndependent);
+  const HeightMap map = HeightsOf(folded, {{10, 10}, 5, {10, 10}}, kAskewNeighbours);
   for (const double h : map.height_mm.values()) EXPECT_NEAR(h, 20, 1e-9);
 }
 
@@ -86,12 +69,13 @@ TEST(HeightMap, DifferenceHasBothErrors) {
   int count = 0;
   HeightDifference difference;
   for (int draw = 0; draw < 60; ++draw) {
-    SurfacePoints now = Surface(Roof, &random), before = Surface(Roof, &random);
+    SurfacePoints now = AskewSurface(Roof, &random), before = AskewSurface(Roof, &random);
     for (SurfacePoints* s : {&now, &before}) {
-      s->along_modes_mm.emplace_back(kSize, Eigen::Vector3f(0, 0, s == &now ? 0.3F : 0.1F));
+      s->along_modes_mm.emplace_back(testing::kAskewSize,
+                                     Eigen::Vector3f(0, 0, s == &now ? 0.3F : 0.1F));
     }
-    difference = CompareHeights(HeightsOf(now, grid, kIndependent),
-                                HeightsOf(before, grid, kIndependent), draw % 2 == 0);
+    difference = CompareHeights(HeightsOf(now, grid, kAskewNeighbours),
+                                HeightsOf(before, grid, kAskewNeighbours), draw % 2 == 0);
     for (std::size_t i = 0; i < difference.value_mm.pixel_count(); ++i) {
       squares += std::pow(
           difference.value_mm.data()[i] / static_cast<double>(difference.sigma_random_mm.data()[i]),
@@ -106,10 +90,10 @@ TEST(HeightMap, DifferenceHasBothErrors) {
 }
 
 TEST(HeightMap, RefusesWhatDoesNotFit) {
-  const SurfacePoints roof = Surface(Roof);
+  const SurfacePoints roof = AskewSurface(Roof);
   EXPECT_THROW((void)GridAround(roof, 0), UsageError);
-  const HeightMap one = HeightsOf(roof, {{0, 0}, 1, {4, 4}}, kIndependent);
-  const HeightMap other = HeightsOf(roof, {{0, 0}, 1, {4, 5}}, kIndependent);
+  const HeightMap one = HeightsOf(roof, {{0, 0}, 1, {4, 4}}, kAskewNeighbours);
+  const HeightMap other = HeightsOf(roof, {{0, 0}, 1, {4, 5}}, kAskewNeighbours);
   EXPECT_THROW((void)CompareHeights(one, other, true), std::invalid_argument);
 }
 
