@@ -9,6 +9,7 @@
 #include "calib/error.h"
 #include "io/export.h"
 #include "io/frame_table.h"
+#include "io/section_table.h"
 
 namespace plumbline::internal {
 namespace {
@@ -50,6 +51,12 @@ class ExportCommand : public Command {
                  "points and their status. frames: of each frame as a whole, a line of one csv",
          .choices = {"ply", "csv", "frames"}},
         &format_);
+    options.Add(
+        {.name = "section",
+         .help = "in place of the points, the line in which a plane cuts the surface: x=150 "
+                 "(lateral) or y=0 (longitudinal), mm in the frame of the positions; a csv "
+                 "with the sigmas of the line"},
+        &section_);
     options.Add({.name = "output",
                  .help = "where the points go; empty: beside the run. Of several frames, each gets "
                          "a file with its number",
@@ -63,7 +70,7 @@ class ExportCommand : public Command {
   CommandReport Run(const CommonOptions& common, const std::string&) override {
     const ResultFile result = OpenResultFile(file_);
     if (result.planar) {
-      if (format_ != "csv") {
+      if (format_ != "csv" || !section_.empty()) {
         throw UsageError("'" + file_ +
                          "' is of one camera: its points have no place in space, and there "
                          "is no table of its frames. Export them with --format csv.");
@@ -77,6 +84,7 @@ class ExportCommand : public Command {
     if (!result.series) {
       throw InputError(fmt::format("'{}' is a rig file, which has no points.", file_));
     }
+    if (!section_.empty()) return ExportSections(common, *result.series);
     if (format_ == "frames") return ExportTable(*result.series);
     return Export(common, result.series->frame_count(), [&](std::int64_t i, const fs::path& to) {
       const SeriesFrame frame = result.series->Frame(i);
@@ -99,8 +107,9 @@ class ExportCommand : public Command {
       throw UsageError(
           fmt::format("--frame {}: '{}' has {} frames, counted from 0.", *frame_, file_, count));
     }
+    const std::string ending = section_.empty() ? format_ : "section.csv";
     const fs::path base =
-        output_.empty() ? fs::path(file_).replace_extension("." + format_) : fs::path(output_);
+        output_.empty() ? fs::path(file_).replace_extension("." + ending) : fs::path(output_);
     CommandReport report;
     report.json["files"] = nlohmann::json::array();
     std::int64_t skipped = 0;
@@ -134,6 +143,17 @@ class ExportCommand : public Command {
     return report;
   }
 
+  CommandReport ExportSections(const CommonOptions& common, const SeriesReader& series) const {
+    const CutPlane plane = ParseSection(section_);
+    return Export(common, series.frame_count(), [&](std::int64_t i, const fs::path& to) {
+      const SeriesFrame frame = series.Frame(i);
+      if (!frame.problem.empty()) return Exported{frame.problem, 0};
+      const std::size_t points =
+          ExportSection(to, frame, plane, series.step_px(), series.subset_px());
+      return Exported{"", static_cast<std::int64_t>(points)};
+    });
+  }
+
   CommandReport ExportTable(const SeriesReader& series) const {
     if (frame_) throw UsageError("--frame and --format frames exclude each other.");
     const fs::path file =
@@ -146,7 +166,7 @@ class ExportCommand : public Command {
     return report;
   }
 
-  std::string file_, output_, format_ = "ply";
+  std::string file_, output_, section_, format_ = "ply";
   std::optional<int> frame_;
 };
 
