@@ -226,7 +226,7 @@ TEST(Validate, FindsValuesThatDoNotBelongInOptionalGroups) {
        {"f['patch/contour_first'][2] = 6", "frame 2: its contour cannot be read"},
        {"f['patch/contour'][4, 0] = np.nan",
         "frame 2: its contour holds values that are no numbers"},
-       {"f['slip/ratio'][0] = np.nan", "frame 0: a wheel slip was found and has no ratio"},
+       {"f['slip/angle_rad'][0] = np.nan", "frame 0: a wheel slip was found and has no angle_rad"},
        {"f['channels/Fz/time_s'][2] = -1", "/channels/Fz: its time 2 is no number or goes back"}});
 }
 

@@ -37,6 +37,7 @@ SeriesFrame FrameOf(std::int64_t i, const SeriesHeader& header) {
     frame.strain = {};
     frame.match = {};
     frame.velocity = {};
+    frame.material = {};
     frame.slip.velocity_mm_s = frame.slip.sigma_random_mm_s =
         frame.slip.sigma_calibration_mm_s = {};
   }
