@@ -13,6 +13,10 @@ Rigid3 WheelAxis::RigFromWheel(double angle_rad) const {
   return {rotation * TurnAboutY(angle_rad), origin_in_rig_mm()};
 }
 
+WheelAxis WheelAxis::Off(const Eigen::Vector4d& by) const {
+  return {rotation * RotationFromVector(by.head<3>()), distance_mm + by[3]};
+}
+
 WheelAxis WheelAxis::Through(const Eigen::Vector3d& point_in_rig_mm,
                              const Eigen::Vector3d& direction_in_rig) {
   constexpr double kNearest_mm = 0.1;

@@ -21,6 +21,9 @@ struct WheelAxis {
   Eigen::Vector3d direction_in_rig() const { return rotation.col(1); }
   Eigen::Vector3d origin_in_rig_mm() const { return distance_mm * rotation.col(2); }
   Rigid3 RigFromWheel(double angle_rad) const;
+  // Off by a rotation about the wheel's x, y, z (rad; rotation <- rotation exp(it)) and a distance
+  // (mm): the order of all covariances and modes of an axis.
+  WheelAxis Off(const Eigen::Vector4d& by) const;
 
   // The axis through a point of the rig frame. Throws InputError where it goes through the left
   // camera (within 0.1 mm), which says nothing of where z is.

@@ -30,6 +30,12 @@ struct FramePoints {
   Image<double> thickness_mm;
 };
 
+// A frame that is placed, in its ground frame.
+struct FrameOverGround {
+  MaterialFrame material;
+  SurfacePoints undeformed;
+};
+
 // How a ground frame turns and shifts (as UncertainFrame tells it) with the pose of the rig.
 Eigen::Matrix<double, 6, 3> FrameAlongPose(const RigPose& pose, const WheelAxis& axis) {
   constexpr double kStep = 1e-5;
@@ -94,10 +100,10 @@ class ContactOfRun {
   PoseObservation ObserveSymmetry(const FramePoints& points, const std::string& why) const;
   void TurnByHand(RollingContact* contact) const;
   void FindPatchesOf(RollingContact* contact) const;
-  MaterialFrame MaterialOf(std::size_t f, const RollingContact& contact) const;
+  std::optional<FrameOverGround> OverGround(std::size_t f, const RollingContact& contact) const;
   Image<std::uint8_t> InContact(const FramePoints& points, const RollingContactFrame& frame) const;
-  void Deform(std::size_t f, RollingContact* contact) const;
-  void Slip(std::size_t f, RollingContact* contact) const;
+  void Deform(std::size_t f, const FrameOverGround& now, RollingContactFrame* out) const;
+  void Slip(std::size_t f, const FrameTriple& frames, RollingContactFrame* out) const;
   bool Placed(std::size_t f) const {
     return rolling_.frames[f].status == RollingFrameStatus::kPlaced;
   }
@@ -106,8 +112,6 @@ class ContactOfRun {
     return clock_ ? frame.time_s : static_cast<double>(frame.index);
   }
   double SigmaOf(const FramePoints& points) const;
-  // The placed frame with a ground before (step -1) or after (1) this one; itself where none is.
-  std::size_t Beside(std::size_t f, int step, const RollingContact& contact) const;
 
   const WheelReference& reference_;
   const RollingWheel& rolling_;
@@ -287,58 +291,51 @@ Image<std::uint8_t> ContactOfRun::InContact(const FramePoints& points,
   return contact;
 }
 
-MaterialFrame ContactOfRun::MaterialOf(std::size_t f, const RollingContact& contact) const {
+// Nothing where there is no such frame, or it was not placed over the ground.
+std::optional<FrameOverGround> ContactOfRun::OverGround(std::size_t f,
+                                                        const RollingContact& contact) const {
+  if (f >= rolling_.frames.size() || !Placed(f) || !contact.frames[f].rotation.found) {
+    return std::nullopt;
+  }
   FramePoints points = PointsOf(f);
-  MaterialFrame frame;
+  FrameOverGround out;
+  MaterialFrame& frame = out.material;
   frame.time_s = points.time_s;
   frame.contact = InContact(points, contact.frames[f]);
   frame.points = std::move(points.now);
   frame.material = std::move(points.material);
   frame.ground = GroundFrameOf(contact.frames[f].rotation, reference_.axis);
-  return frame;
+  out.undeformed = std::move(points.undeformed);
+  return out;
 }
 
-void ContactOfRun::Deform(std::size_t f, RollingContact* contact) const {
-  RollingContactFrame& out = contact->frames[f];
-  FramePoints points = PointsOf(f);
+void ContactOfRun::Deform(std::size_t f, const FrameOverGround& now,
+                          RollingContactFrame* out) const {
   LoadedWheel wheel;
-  wheel.contact = InContact(points, out);
-  wheel.loaded = std::move(points.now);
-  wheel.undeformed = std::move(points.undeformed);
+  wheel.contact = now.material.contact;
+  wheel.loaded = now.material.points;
+  wheel.undeformed = now.undeformed;
   wheel.sigma_angle_rad =
       std::hypot(rolling_.frames[f].sigma_random_rad, rolling_.sigma_common_rad);
   wheel.axis = reference_.axis;
   wheel.cov_axis_random = reference_.cov_axis_random;
   wheel.axis_along_modes = reference_.axis_along_modes;
-  wheel.ground = GroundFrameOf(out.rotation, reference_.axis);
-  out.deformation = MeasureDeformation(wheel, neighbours_, options_.deformation);
+  wheel.ground = now.material.ground;
+  out->deformation = MeasureDeformation(wheel, neighbours_, options_.deformation);
 }
 
-std::size_t ContactOfRun::Beside(std::size_t f, int step, const RollingContact& contact) const {
-  const auto next = static_cast<std::ptrdiff_t>(f) + step;
-  if (next < 0 || next >= static_cast<std::ptrdiff_t>(rolling_.frames.size())) return f;
-  const auto beside = static_cast<std::size_t>(next);
-  return Placed(beside) && contact.frames[beside].rotation.found ? beside : f;
-}
-
-void ContactOfRun::Slip(std::size_t f, RollingContact* contact) const {
-  RollingContactFrame& out = contact->frames[f];
-  const std::size_t b = Beside(f, -1, *contact), a = Beside(f, 1, *contact);
+void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContactFrame* out) const {
   if (!clock_) {
-    out.slip.problem = "the frames have no times";
+    out->slip.problem = "the frames have no times";
     return;
   }
-  if (a == f && b == f) {
-    out.slip.problem = "no frame beside this one is placed over the ground";
+  if (frames.before == nullptr && frames.after == nullptr) {
+    out->slip.problem = "no frame beside this one is placed over the ground";
     return;
   }
-  const MaterialFrame now = MaterialOf(f, *contact);
-  const MaterialFrame before = b == f ? MaterialFrame() : MaterialOf(b, *contact);
-  const MaterialFrame after = a == f ? MaterialFrame() : MaterialOf(a, *contact);
-  const FrameTriple triple{b == f ? nullptr : &before, &now, a == f ? nullptr : &after};
   MaterialVelocityOptions options;
   options.ground_correlation = kAlike;
-  const MaterialVelocity velocity = VelocityOfMaterial(triple, neighbours_, options);
+  const MaterialVelocity velocity = VelocityOfMaterial(frames, neighbours_, options);
   WheelTurning wheel;
   wheel.axis = reference_.axis;
   wheel.cov_axis_random = reference_.cov_axis_random;
@@ -350,23 +347,24 @@ void ContactOfRun::Slip(std::size_t f, RollingContact* contact) const {
       rolling_.speed_along_modes_rad_s.col(static_cast<Eigen::Index>(f));
   std::optional<MeasuredScalar> channel;
   if (options_.vehicle_speed_mm_s) {
-    const double averaging = (a == f ? now : after).time_s - (b == f ? now : before).time_s;
+    const double averaging = (frames.after != nullptr ? frames.after : frames.now)->time_s -
+                             (frames.before != nullptr ? frames.before : frames.now)->time_s;
     channel = SpeedFromChannel(*options_.vehicle_speed_mm_s, frame.time_s, averaging,
                                options_.channel_clock, options_.sigma_vehicle_speed_mm_s);
   }
   const Eigen::Vector3f none = Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN());
-  out.sigma_random_mm_s = out.sigma_calibration_mm_s =
+  out->sigma_random_mm_s = out->sigma_calibration_mm_s =
       Image<Eigen::Vector3f>(velocity.size(), none);
   for (std::size_t i = 0; i < velocity.value_mm_s.pixel_count(); ++i) {
     const Eigen::Matrix<float, 6, 1>& cov = velocity.cov_random_mm2_s2.data()[i];
-    out.sigma_random_mm_s.data()[i] = Eigen::Vector3f(cov[0], cov[3], cov[5]).cwiseSqrt();
+    out->sigma_random_mm_s.data()[i] = Eigen::Vector3f(cov[0], cov[3], cov[5]).cwiseSqrt();
     if (velocity.along_modes_mm_s.empty()) continue;
     Eigen::Vector3f variance = Eigen::Vector3f::Zero();
     for (const auto& mode : velocity.along_modes_mm_s) variance += mode.data()[i].cwiseAbs2();
-    out.sigma_calibration_mm_s.data()[i] = variance.cwiseSqrt();
+    out->sigma_calibration_mm_s.data()[i] = variance.cwiseSqrt();
   }
-  out.slip = MeasureSlip(velocity, triple, wheel, now.contact, neighbours_,
-                         options_.free_rolling_radius_mm, channel, options_.slip);
+  out->slip = MeasureSlip(velocity, frames, wheel, frames.now->contact, neighbours_,
+                          options_.free_rolling_radius_mm, channel, options_.slip);
 }
 
 RollingContact ContactOfRun::Find() {
@@ -391,15 +389,21 @@ RollingContact ContactOfRun::Find() {
     for (std::size_t f = 0; f < count; ++f) contact.frames[f].rotation = rotation.frames[f];
   }
   FindPatchesOf(&contact);
+  std::optional<FrameOverGround> before, now = OverGround(0, contact);
   for (std::size_t f = 0; f < count; ++f) {
     RollingContactFrame& frame = contact.frames[f];
-    if (!Placed(f) || !frame.rotation.found) {
+    std::optional<FrameOverGround> after = OverGround(f + 1, contact);
+    if (now) {
+      const auto material = [](const std::optional<FrameOverGround>& beside) {
+        return beside ? &beside->material : nullptr;
+      };
+      Deform(f, *now, &frame);
+      Slip(f, {material(before), &now->material, material(after)}, &frame);
+    } else {
       frame.patch.problem = frame.slip.problem = frame.deformation.problem =
           Placed(f) ? frame.rotation.problem : rolling_.frames[f].problem;
-      continue;
     }
-    Deform(f, &contact);
-    Slip(f, &contact);
+    before = std::exchange(now, std::move(after));
   }
   return contact;
 }

@@ -25,8 +25,6 @@ class ContactOptionSet {
   void AddChannels(const std::vector<Channel>& channels, const RollingWheel& rolling,
                    RollingContactOptions* options) const;
 
-  std::string convention() const { return convention_; }
-
  private:
   std::string carcass_ = "0", ground_turns_, vehicle_speed_, wheel_speed_, convention_ = "iso8855";
   double vehicle_speed_sigma_m_s_ = 0, radius_sigma_mm_ = 0, threshold_mm_ = 0.5;

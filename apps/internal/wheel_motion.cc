@@ -6,11 +6,6 @@
 namespace plumbline::internal {
 namespace {
 
-// A wheel whose axis is off by a rotation about its x, y, z (rad) and a distance (mm).
-WheelAxis Off(const WheelAxis& axis, const Eigen::Vector4d& by) {
-  return {axis.rotation * RotationFromVector(by.head<3>()), axis.distance_mm + by[3]};
-}
-
 Rigid3 Turn(const WheelAxis& axis, double from_rad, double to_rad) {
   return axis.RigFromWheel(to_rad) * axis.RigFromWheel(from_rad).Inverse();
 }
@@ -55,7 +50,7 @@ MeasurementFrame FrameOfWheel(const WheelReference& wheel) {
   MeasurementFrame frame;
   const Rigid3 rig_from_wheel = wheel.axis.RigFromWheel(0);
   for (Eigen::Index k = 0; k < wheel.axis_along_modes.rows(); ++k) {
-    const WheelAxis there = Off(wheel.axis, wheel.axis_along_modes.row(k).transpose());
+    const WheelAxis there = wheel.axis.Off(wheel.axis_along_modes.row(k).transpose());
     frame.along_modes.push_back(rig_from_wheel * there.RigFromWheel(0).Inverse());
   }
   return frame;
@@ -78,7 +73,7 @@ BodyMotion TurnSinceView(const WheelReference& wheel, const RollingWheel& rollin
   body.random.push_back(Turn(wheel.axis, view.angle_rad, now + sigma));
   const Eigen::Matrix4d roots = RootsOf(wheel.cov_axis_random);
   for (Eigen::Index k = 0; k < roots.cols(); ++k) {
-    body.random.push_back(Turn(Off(wheel.axis, roots.col(k)), view.angle_rad, now));
+    body.random.push_back(Turn(wheel.axis.Off(roots.col(k)), view.angle_rad, now));
   }
   body.common.push_back(Turn(wheel.axis, view.angle_rad, now + rolling.sigma_common_rad));
   return body;

@@ -65,13 +65,7 @@ class RollingTyre : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
     LiftedWheel lifted(6, 6 * kDegrees);
-    WheelTracks tracks(lifted.rig(), ChainOf(lifted), testing::LiftedWheelOptions());
-    std::vector<WheelFrameMatches> matches;
-    for (int f = 0; f < lifted.frames(); ++f) {
-      matches.push_back(tracks.Add(f, lifted.Pair(f).left, lifted.Pair(f).right));
-    }
-    reference_ = new WheelReference(MakeWheelReference(
-        lifted.rig(), tracks, matches, AdjustWheel(lifted.rig(), tracks.Problem())));
+    reference_ = new WheelReference(testing::ReferenceOf(lifted));
     tyre_ = new VirtualRig(Loaded());
     pairs_ = new std::vector<StereoFrame>;
     for (int f = 0; f < kFrames; ++f) pairs_->push_back(PairOf(*tyre_, f, f));

@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "io/virtual_rig/virtual_rig.h"
+#include "track/wheel_reference.h"
 #include "track/wheel_tracks.h"
 
 namespace plumbline::testing {
@@ -83,6 +84,18 @@ inline WheelChain ChainOf(LiftedWheel& wheel, const std::vector<int>& blank = {}
     }
   }
   return builder.Finish();
+}
+
+// What loaded frames are held against, out of all frames of the lifted wheel; `blank` as in
+// ChainOf.
+inline WheelReference ReferenceOf(LiftedWheel& lifted, const std::vector<int>& blank = {}) {
+  WheelTracks tracks(lifted.rig(), ChainOf(lifted, blank), LiftedWheelOptions());
+  std::vector<WheelFrameMatches> matches;
+  for (int f = 0; f < lifted.frames(); ++f) {
+    matches.push_back(tracks.Add(f, lifted.Pair(f).left, lifted.Pair(f).right));
+  }
+  return MakeWheelReference(lifted.rig(), tracks, matches,
+                            AdjustWheel(lifted.rig(), tracks.Problem()));
 }
 
 }  // namespace plumbline::testing

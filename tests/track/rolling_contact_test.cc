@@ -12,10 +12,8 @@
 namespace plumbline {
 namespace {
 
-using testing::ChainOf;
 using testing::kDegrees;
 using testing::LiftedWheel;
-using testing::LiftedWheelOptions;
 
 constexpr int kSubset = 17;
 
@@ -24,13 +22,7 @@ class RollingContactOfAnArc : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
     LiftedWheel lifted(6, 6 * kDegrees);
-    WheelTracks tracks(lifted.rig(), ChainOf(lifted), LiftedWheelOptions());
-    std::vector<WheelFrameMatches> matches;
-    for (int f = 0; f < lifted.frames(); ++f) {
-      matches.push_back(tracks.Add(f, lifted.Pair(f).left, lifted.Pair(f).right));
-    }
-    reference_ = new WheelReference(MakeWheelReference(
-        lifted.rig(), tracks, matches, AdjustWheel(lifted.rig(), tracks.Problem())));
+    reference_ = new WheelReference(testing::ReferenceOf(lifted));
     rolling_ = new LiftedWheel(Braked());
     RollingSurveyOptions options;
     options.matching.field.step_px = 6;

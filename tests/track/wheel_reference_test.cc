@@ -23,13 +23,7 @@ class WheelReferenceOfAnArc : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
     wheel_ = new LiftedWheel(10, 6 * kDegrees);
-    WheelTracks tracks(wheel_->rig(), ChainOf(*wheel_, {4}), LiftedWheelOptions());
-    std::vector<WheelFrameMatches> matches;
-    for (int f = 0; f < wheel_->frames(); ++f) {
-      matches.push_back(tracks.Add(f, wheel_->Pair(f).left, wheel_->Pair(f).right));
-    }
-    reference_ = new WheelReference(MakeWheelReference(
-        wheel_->rig(), tracks, matches, AdjustWheel(wheel_->rig(), tracks.Problem())));
+    reference_ = new WheelReference(testing::ReferenceOf(*wheel_, {4}));
   }
   static void TearDownTestSuite() {
     delete reference_;

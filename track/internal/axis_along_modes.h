@@ -3,7 +3,6 @@
 #include <Eigen/Core>
 #include <vector>
 
-#include "calib/rigid3.h"
 #include "track/wheel_reference.h"
 
 namespace plumbline::internal {
@@ -12,9 +11,7 @@ namespace plumbline::internal {
 inline std::vector<WheelAxis> AxesAlongModes(const WheelReference& wheel) {
   std::vector<WheelAxis> axes;
   for (Eigen::Index k = 0; k < wheel.axis_along_modes.rows(); ++k) {
-    const Eigen::Vector4d change = wheel.axis_along_modes.row(k).transpose();
-    axes.push_back({wheel.axis.rotation * RotationFromVector(change.head<3>()),
-                    wheel.axis.distance_mm + change[3]});
+    axes.push_back(wheel.axis.Off(wheel.axis_along_modes.row(k).transpose()));
   }
   return axes;
 }
