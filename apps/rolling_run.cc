@@ -167,9 +167,9 @@ std::vector<std::string> RollingRun::Notes() const {
     });
     if (obstacles > 0) {
       notes.push_back(fmt::format(
-          "In {} frames the contact is not that of flat ground. What passes under the wheel moves "
-          "its surface as a turn does: wheel angles may be off by a degree there, and effective "
-          "radius and slip ratio by some per cent, which their sigmas do not tell.",
+          "In {} frames the contact is not that of flat ground. The wheel's turn is told there by "
+          "what of the surface stands still before and behind the contact; what draws all of it "
+          "along cannot be told from a turn.",
           obstacles));
     }
   }

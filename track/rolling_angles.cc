@@ -12,6 +12,8 @@
 
 #include "calib/error.h"
 #include "calib/median.h"
+#include "track/internal/bisquare.h"
+#include "track/internal/frame_turns.h"
 
 namespace plumbline {
 namespace {
@@ -282,11 +284,6 @@ double CentreOf(const RollingAngles& grid, const Image<double>& radial) {
   return best;
 }
 
-double Bisquare(double residual, double scale) {
-  const double x = residual / scale;
-  return std::abs(x) < 1 ? (1 - x * x) * (1 - x * x) : 0;
-}
-
 // Of a frame's mean: what its blocks say of it, but not less than the noise.
 double SigmaOf(const std::vector<RollingObservation>& frame, const std::vector<double>& weights,
                const std::vector<double>& residuals) {
@@ -303,6 +300,76 @@ double SigmaOf(const std::vector<RollingObservation>& frame, const std::vector<d
   const auto n = static_cast<double>(blocks.size());
   if (n > 1) scattered *= n / (n - 1);
   return std::sqrt(std::max(noise, scattered)) / sum;
+}
+
+// Fine, as far as points are dense: so that some lie about each place.
+internal::PlaceLattice LatticeOf(Frames frames, const RollingAngles& out) {
+  constexpr double kFinest = 1.0 / 3;    // of the knots
+  constexpr double kPointsAPlace = 0.9;  // of a frame, in a square of the lattice
+  double points = 0, cells = 0;
+  for (const auto& frame : frames) points += static_cast<double>(frame.size());
+  for (const int seen : out.seen.values()) cells += seen;
+  const double spacing = std::max(kFinest, std::sqrt(kPointsAPlace * cells / points));  // in knots
+  return {out.first_place_rad,
+          out.first_y_mm,
+          out.knot_rad * spacing,
+          out.knot_mm * spacing,
+          {static_cast<int>(out.seen.width() / spacing) + 1,
+           static_cast<int>(out.seen.height() / spacing) + 1}};
+}
+
+// Holds the angles of one deformation for all frames against the turns from frame to frame
+// (RollingAngles::steady). Where these contradict, the angles are theirs from then on, as a whole
+// where the others have them in the middle.
+void FollowTurns(Frames frames, const std::vector<std::vector<double>>& residuals,
+                 std::span<const double> times, RollingAngles& out) {
+  // They contradict a turn that has much more support, and is other by so many sigmas.
+  constexpr double kAgree = 0.8, kTold = 4;
+  const internal::PlaceLattice lattice = LatticeOf(frames, out);
+  std::vector<std::size_t> known;
+  std::vector<internal::AngleField> fields;
+  std::vector<double> model, when;
+  for (std::size_t f = 0; f < frames.size(); ++f) {
+    if (!std::isfinite(out.frames[f].angle_rad)) continue;
+    std::vector<internal::PlacedAngle> points;
+    for (std::size_t i = 0; i < frames[f].size(); ++i) {
+      const RollingObservation& o = frames[f][i];
+      points.push_back({o.place_rad, o.y_mm, residuals[f][i], o.sigma_rad});
+    }
+    known.push_back(f);
+    fields.push_back(internal::FieldOf(points, lattice));
+    model.push_back(out.frames[f].angle_rad);
+    when.push_back(times.empty() ? static_cast<double>(f) : times[f]);
+  }
+  const std::vector<internal::FrameTurn> turns = internal::SteadyTurns(fields, model, when);
+  for (std::size_t k = 0; k < turns.size(); ++k) {
+    const double as_they_are = internal::SupportOf(fields[k], fields[k + 1], 0);
+    if (as_they_are < kAgree * turns[k].support &&
+        std::abs(turns[k].turn_rad) > kTold * turns[k].sigma_rad) {
+      out.steady = false;
+    }
+  }
+  // What places disagree by counts in any case; seen from the middle of the recording.
+  double spread = 0, squares = 0;
+  std::vector<double> changes(1, 0.0);
+  for (std::size_t k = 0; k < turns.size(); ++k) {
+    RollingAngle& frame = out.frames[known[k + 1]];
+    frame.turn_spread_rad = turns[k].spread_rad;
+    spread += turns[k].spread_rad / 2;
+    squares += turns[k].sigma_rad * turns[k].sigma_rad;
+    changes.push_back(changes.back() + turns[k].turn_rad);
+  }
+  out.sigma_common_rad = std::hypot(out.sigma_common_rad, spread);
+  if (out.steady) return;
+  out.sigma_common_rad = std::hypot(out.sigma_common_rad, std::sqrt(squares));
+  const double middle = Median(changes);
+  for (std::size_t k = 0; k < known.size(); ++k) {
+    out.frames[known[k]].angle_rad += changes[k] - middle;
+    if (k > 0) {
+      out.frames[known[k]].sigma_rad =
+          std::hypot(out.frames[known[k]].sigma_rad, turns[k - 1].sigma_rad);
+    }
+  }
 }
 
 }  // namespace
@@ -325,10 +392,12 @@ double RollingAngles::Ahead(double place_rad, double y_mm) const {
 }
 
 RollingAngles FindRollingAngles(Frames frames, std::span<const Eigen::MatrixXf> psi_along,
-                                const RollingAnglesOptions& options) {
+                                const RollingAnglesOptions& options,
+                                std::span<const double> times) {
   options.Check();
-  if (!psi_along.empty() && psi_along.size() != frames.size()) {
-    throw std::invalid_argument("the changes of psi must be of as many frames");
+  if ((!psi_along.empty() && psi_along.size() != frames.size()) ||
+      (!times.empty() && times.size() != frames.size())) {
+    throw std::invalid_argument("times and the changes of psi must be of as many frames");
   }
   RollingAngles out;
   out.frames.assign(frames.size(), {kNone, kNone, 0});
@@ -368,7 +437,7 @@ RollingAngles FindRollingAngles(Frames frames, std::span<const Eigen::MatrixXf> 
     for (std::size_t f = 0; f < frames.size(); ++f) {
       for (std::size_t i = 0; i < frames[f].size(); ++i) {
         const double sigma = frames[f][i].sigma_rad;
-        weights[f][i] = Bisquare(residuals[f][i] / sigma, scale) / (sigma * sigma);
+        weights[f][i] = internal::Bisquare(residuals[f][i] / sigma, scale) / (sigma * sigma);
       }
     }
   }
@@ -392,6 +461,7 @@ RollingAngles FindRollingAngles(Frames frames, std::span<const Eigen::MatrixXf> 
     frame.used_share /= static_cast<double>(frames[f].size());
   }
   for (RollingAngle& frame : out.frames) frame.sigma_rad *= std::sqrt(1 + 1.0 / counted);
+  FollowTurns(frames, residuals, times, out);
   const Eigen::Index modes = psi_along.empty() ? 0 : psi_along[0].cols();
   out.along_modes.resize(modes, static_cast<Eigen::Index>(frames.size()));
   for (Eigen::Index k = 0; k < modes; ++k) {

@@ -21,6 +21,17 @@ namespace plumbline {
 // the wheel for a while, an obstacle, disturbs a part of a frame only, and each place for a part of
 // the time only.
 //
+// Obstacles. What passes under the wheel draws the surface in from before and behind, and that does
+// not stand still in the rig: with one delta for all, angles may jump by degrees from before to
+// after. So they are held against the turns from frame to frame, which need no delta: the
+// differences of psi between two frames at places (means over a third of the knots) where most
+// agree are the turn. Where the angles contradict the turns they are not taken: all follow the
+// turns (steady = false), chosen so that the speed changes little (dynamic programming over the
+// dozen best supported of each pair). What moves the whole of what is seen, in one frame or bit by
+// bit, is still taken for a turn: how far places disagree (turn_spread_rad) says what may be.
+// Bars on the virtual rig: 0.015 degrees off instead of 2.2; nuts, which there pull the tread along
+// by a degree in all: 0.9.
+//
 // Places: Phi = atan2(x, -z) and y of the wheel frame at angle 0, which is fixed in the rig.
 //
 // The free constant. A constant of delta and one of all theta cannot be told apart: nothing that
@@ -54,11 +65,15 @@ struct RollingAngle {
   double angle_rad = 0;   // NaN: no observation of the frame counts
   double sigma_rad = 0;   // random, of this frame; without what all frames have in common
   double used_share = 0;  // sum of the weights over the number of observations
+  // How far places that say otherwise are from the turn since the frame before: the median
+  // deviation of all, times their share.
+  double turn_spread_rad = 0;
 };
 
 struct RollingAngles {
   std::vector<RollingAngle> frames;
   double sigma_common_rad = 0;
+  bool steady = true;           // one delta explains all frames
   double centre_rad = 0;        // of the deformation, Phi
   double scatter = 0;           // of the residuals over their sigmas, robust
   Eigen::MatrixXd along_modes;  // (K, frames), rad: what each column of psi_along does
@@ -80,10 +95,12 @@ struct RollingAngles {
 // Random errors: sandwich over the blocks of a frame (White, Econometrica 48(4), 1980, in
 // clusters), so that what deformation the splines do not follow counts as well, never less than
 // the noise; the part of delta's error is counted as that of a mean over the frames.
+// times: of the frames, growing, in any unit; empty: as far apart from each other.
 // Throws UsageError from the options, std::invalid_argument where sizes do not fit.
 // Accuracy: tests/track/rolling_angles_test.cc.
 [[nodiscard]] RollingAngles FindRollingAngles(
     std::span<const std::vector<RollingObservation>> frames,
-    std::span<const Eigen::MatrixXf> psi_along, const RollingAnglesOptions& options = {});
+    std::span<const Eigen::MatrixXf> psi_along, const RollingAnglesOptions& options = {},
+    std::span<const double> times = {});
 
 }  // namespace plumbline

@@ -48,6 +48,26 @@ Eigen::Matrix<double, 6, 3> FrameAlongPose(const RigPose& pose, const WheelAxis&
   return J;
 }
 
+// The speed at which the wheel turns over the ground: the one that the rig sees, less that at which
+// the ground turns in the rig, between two frames.
+MeasuredScalar OverTheGround(const RollingFrame& frame, const Eigen::MatrixXd& speed_along_modes,
+                             std::size_t f, const RigRotationFrame& from,
+                             const RigRotationFrame& to) {
+  const double time_s = to.time_s - from.time_s;
+  MeasuredScalar speed;
+  speed.value = frame.speed_rad_s - (to.pose[0] - from.pose[0]) / time_s;
+  const double a = from.sigma_random[0], b = to.sigma_random[0];
+  const double turned = std::sqrt(std::max(0.0, a * a + b * b - 2 * kAlike * a * b));
+  speed.sigma_random = std::hypot(frame.sigma_random_rad_s, turned / time_s);
+  speed.along_modes = speed_along_modes.col(static_cast<Eigen::Index>(f));
+  for (Eigen::Index k = 0; k < speed.along_modes.size(); ++k) {
+    const auto mode = static_cast<std::size_t>(k);
+    if (mode >= from.along_modes.size()) break;  // the pose was given by hand
+    speed.along_modes[k] -= (to.along_modes[mode][0] - from.along_modes[mode][0]) / time_s;
+  }
+  return speed;
+}
+
 // Even-odd rule over all outlines: holes are outside.
 bool Inside(const std::vector<Polygon>& outlines, const Eigen::Vector2d& p) {
   bool inside = false;
@@ -103,7 +123,7 @@ class ContactOfRun {
   std::optional<FrameOverGround> OverGround(std::size_t f, const RollingContact& contact) const;
   Image<std::uint8_t> InContact(const FramePoints& points, const RollingContactFrame& frame) const;
   void Deform(std::size_t f, const FrameOverGround& now, RollingContactFrame* out) const;
-  void Slip(std::size_t f, const FrameTriple& frames, RollingContactFrame* out) const;
+  void Slip(std::size_t f, const FrameTriple& frames, RollingContact* contact) const;
   bool Placed(std::size_t f) const {
     return rolling_.frames[f].status == RollingFrameStatus::kPlaced;
   }
@@ -324,7 +344,8 @@ void ContactOfRun::Deform(std::size_t f, const FrameOverGround& now,
   out->deformation = MeasureDeformation(wheel, neighbours_, options_.deformation);
 }
 
-void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContactFrame* out) const {
+void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContact* contact) const {
+  RollingContactFrame* out = &contact->frames[f];
   if (!clock_) {
     out->slip.problem = "the frames have no times";
     return;
@@ -341,10 +362,12 @@ void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContact
   wheel.cov_axis_random = reference_.cov_axis_random;
   wheel.axis_along_modes = reference_.axis_along_modes;
   const RollingFrame& frame = rolling_.frames[f];
-  wheel.speed_rad_s.value = frame.speed_rad_s;
-  wheel.speed_rad_s.sigma_random = frame.sigma_random_rad_s;
-  wheel.speed_rad_s.along_modes =
-      rolling_.speed_along_modes_rad_s.col(static_cast<Eigen::Index>(f));
+  const auto ground_of = [&](const MaterialFrame* beside, std::size_t at) {
+    return &contact->frames[beside == nullptr ? f : at].rotation;
+  };
+  wheel.speed_rad_s =
+      OverTheGround(frame, rolling_.speed_along_modes_rad_s, f, *ground_of(frames.before, f - 1),
+                    *ground_of(frames.after, f + 1));
   std::optional<MeasuredScalar> channel;
   if (options_.vehicle_speed_mm_s) {
     const double averaging = (frames.after != nullptr ? frames.after : frames.now)->time_s -
@@ -398,7 +421,7 @@ RollingContact ContactOfRun::Find() {
         return beside ? &beside->material : nullptr;
       };
       Deform(f, *now, &frame);
-      Slip(f, {material(before), &now->material, material(after)}, &frame);
+      Slip(f, {material(before), &now->material, material(after)}, &contact);
     } else {
       frame.patch.problem = frame.slip.problem = frame.deformation.problem =
           Placed(f) ? frame.rotation.problem : rolling_.frames[f].problem;

@@ -52,6 +52,16 @@ int StrideFor(int points, int most) {
   return stride;
 }
 
+// By how much the speed of a frame may be off because places disagree on the turns beside it.
+double SpeedSpread(const RollingAngles& angles, const std::vector<double>& times, std::size_t f) {
+  const auto beside = [&](std::size_t later) {
+    return later == 0 || later >= times.size()
+               ? 0
+               : angles.frames[later].turn_spread_rad / (times[later] - times[later - 1]);
+  };
+  return std::max(beside(f), beside(f + 1));
+}
+
 }  // namespace
 
 double MaterialAngle(const Eigen::Vector3d& in_wheel_mm) {
@@ -377,8 +387,6 @@ RollingWheel RollingSurvey::Finish() {
   impl.prepared.clear();
   impl.Unwrap();
   RollingWheel out;
-  out.deformation = FindRollingAngles(impl.observations, impl.psi_along, impl.options.angles);
-  out.sigma_common_rad = out.deformation.sigma_common_rad;
   out.frames = std::move(impl.frames);
   out.grid = impl.grid;
   out.spacing_px = impl.spacing_px;
@@ -387,9 +395,14 @@ RollingWheel RollingSurvey::Finish() {
   bool clock = true;
   for (const RollingFrame& frame : out.frames) clock = clock && std::isfinite(frame.time_s);
   std::vector<double> times, angles, sigmas;
+  for (const RollingFrame& frame : out.frames) {
+    times.push_back(clock ? frame.time_s : static_cast<double>(frame.index));
+  }
+  out.deformation =
+      FindRollingAngles(impl.observations, impl.psi_along, impl.options.angles, times);
+  out.sigma_common_rad = out.deformation.sigma_common_rad;
   for (std::size_t f = 0; f < n; ++f) {
     RollingFrame& frame = out.frames[f];
-    times.push_back(clock ? frame.time_s : static_cast<double>(frame.index));
     if (frame.status == RollingFrameStatus::kPlaced) {
       frame.measured_angle_rad = out.deformation.frames[f].angle_rad;
       frame.sigma_measured_rad = out.deformation.frames[f].sigma_rad;
@@ -421,7 +434,8 @@ RollingWheel RollingSurvey::Finish() {
     if (modes) frame.sigma_calibration_rad = out.angle_along_modes_rad.col(column).norm();
     if (!clock) continue;
     frame.speed_rad_s = s.speed_rad_s;
-    frame.sigma_random_rad_s = s.sigma_speed_rad_s;
+    frame.sigma_random_rad_s =
+        std::hypot(s.sigma_speed_rad_s, SpeedSpread(out.deformation, times, f));
     if (modes) frame.sigma_calibration_rad_s = out.speed_along_modes_rad_s.col(column).norm();
   }
   return out;

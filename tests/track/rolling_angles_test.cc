@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <random>
 #include <stdexcept>
@@ -25,14 +26,15 @@ struct Rolling {
   std::vector<double> truth_rad;
 
   // obstacle_rad: what something on the ground adds to the points over it.
-  explicit Rolling(unsigned seed, double even = 0, double obstacle_rad = 0, int count = 12) {
+  explicit Rolling(unsigned seed, double even = 0, double obstacle_rad = 0, int count = 12,
+                   int points = 300) {
     std::mt19937 rng(seed);
     std::normal_distribution<double> n(0, 1);
     std::uniform_real_distribution<double> place(-kHalf_rad, kHalf_rad), y(-kHalf_mm, kHalf_mm);
     for (int f = 0; f < count; ++f) {
       truth_rad.push_back(1 + 0.07 * f);
       frames.emplace_back();
-      for (int i = 0; i < 300; ++i) {
+      for (int i = 0; i < points; ++i) {
         RollingObservation o;
         o.place_rad = place(rng);
         o.y_mm = y(rng);
@@ -110,6 +112,30 @@ TEST(RollingAngles, AnObstacleUnderAPartOfTheViewDoesNotTurnTheWheel) {
   }
 }
 
+TEST(RollingAngles, ABarThatDrawsTheSurfaceInDoesNotTurnTheWheel) {
+  // All before it is drawn on and all behind it held back, by a degree, fixed to the ground.
+  constexpr double kDrawn_rad = 0.018, kHalfWay_rad = 0.05;
+  Rolling wheel(7, 0, 0, 16, 900);
+  std::vector<double> times;
+  for (std::size_t f = 0; f < wheel.frames.size(); ++f) {
+    times.push_back(0.02 * static_cast<double>(f));
+    const double over = 0.6 - 0.07 * static_cast<double>(f);
+    for (RollingObservation& o : wheel.frames[f]) {
+      const double u = std::clamp((o.place_rad - over) / kHalfWay_rad, -1.0, 1.0);
+      o.psi_rad += kDrawn_rad * u * (3 - u * u) / 2;
+    }
+  }
+  const RollingAngles found = FindRollingAngles(wheel.frames, {}, {}, times);
+  EXPECT_FALSE(found.steady);
+  for (std::size_t f = 1; f < wheel.frames.size(); ++f) {
+    const double off = (found.frames[f].angle_rad - found.frames[0].angle_rad) -
+                       (wheel.truth_rad[f] - wheel.truth_rad[0]);
+    EXPECT_NEAR(off, 0, 4e-4) << f;
+    EXPECT_LT(std::abs(off), 3 * found.sigma_common_rad) << f;
+  }
+  EXPECT_TRUE(FindRollingAngles(Rolling(7).frames, {}).steady);
+}
+
 TEST(RollingAngles, FollowTheModes) {
   const Rolling wheel(5);
   std::vector<Eigen::MatrixXf> along;
@@ -148,6 +174,8 @@ TEST(RollingAngles, SayWhereNothingIsKnown) {
   EXPECT_THROW((void)FindRollingAngles(wheel.frames, {}, options), UsageError);
   const std::vector<Eigen::MatrixXf> along(1);
   EXPECT_THROW((void)FindRollingAngles(wheel.frames, along), std::invalid_argument);
+  const std::vector<double> times(2);
+  EXPECT_THROW((void)FindRollingAngles(wheel.frames, {}, {}, times), std::invalid_argument);
 }
 
 }  // namespace
