@@ -138,7 +138,7 @@ SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCo
       neighbours(std::move(n)),
       options(o),
       modes(r),
-      watch(r, {.refinement = o.refinement}) {
+      watch(r, {.refinement = o.refinement, .limits = {}}) {
   const ImageSize grid = reference.left.size();
   watch_stride =
       std::max(1, (reference.left.subset_px + reference.left.step_px - 1) / reference.left.step_px);

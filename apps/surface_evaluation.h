@@ -1,7 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <cstdint>
 #include <memory>
 #include <optional>
 #include <string>
@@ -12,17 +11,11 @@
 #include "io/series_writer.h"
 #include "match/neighbour_correlation.h"
 #include "match/stereo_sequence.h"
+#include "track/camera_motion.h"
 #include "track/surface_state.h"
 #include "track/surface_strain.h"
 
 namespace plumbline {
-
-// When the pose of the right camera is refined from the matches of each frame.
-enum class PoseRefinement : std::uint8_t {
-  kOff = 0,          // never; an alarm is given all the same
-  kWhenSignificant,  // in frames where the camera has moved beyond doubt
-  kAlways,
-};
 
 struct SurfaceEvaluationOptions {
   EpipolarOptions epipolar;

@@ -28,6 +28,9 @@ struct FramePoints {
   Image<Eigen::Vector3d> material;  // angle (rad), place along the axis (mm), radius (mm)
   Image<Eigen::Matrix3d> cov_mm2;
   Image<double> thickness_mm;
+  // What one standard deviation of the frame's own pose of the cameras does to the points, along
+  // each of its directions; none where it was not refined.
+  std::vector<Image<Eigen::Vector3f>> along_pose_mm;
 };
 
 // A frame that is placed, in its ground frame.
@@ -114,6 +117,8 @@ class ContactOfRun {
 
  private:
   FramePoints PointsOf(std::size_t f) const;
+  void AddPoseErrors(const RollingFrame& frame, const std::vector<Eigen::Vector2d>& left,
+                     const std::vector<Eigen::Vector2d>& right, FramePoints* out) const;
   void AddModes(std::size_t f, const std::vector<Eigen::Vector2d>& left,
                 const std::vector<Eigen::Vector2d>& right, FramePoints* out) const;
   PoseObservation Observe(const FramePoints& points) const;
@@ -167,7 +172,25 @@ FramePoints ContactOfRun::PointsOf(std::size_t f) const {
   }
   out.thickness_mm = ThicknessOver(options_.carcass, out.undeformed.point_mm, reference_.axis);
   AddModes(f, left, right, &out);
+  AddPoseErrors(frame, left, right, &out);
   return out;
+}
+
+void ContactOfRun::AddPoseErrors(const RollingFrame& frame,
+                                 const std::vector<Eigen::Vector2d>& left,
+                                 const std::vector<Eigen::Vector2d>& right,
+                                 FramePoints* out) const {
+  StereoRig rig = reference_.rig;
+  for (const Rigid3& pose : frame.right_from_left_moved) {
+    rig.right_from_left = pose;
+    const std::vector<Eigen::Vector3d> points = TriangulatePoints(rig, left, right);
+    Image<Eigen::Vector3f> moved(rolling_.grid, Eigen::Vector3f::Zero());
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      const RollingPoint& p = frame.points[i];
+      moved(p.at.y(), p.at.x()) = (points[i] - p.point_mm).cast<float>();
+    }
+    out->along_pose_mm.push_back(std::move(moved));
+  }
 }
 
 // Along a mode the points of the frame and of its view are both elsewhere, and so are the axis and
@@ -228,7 +251,15 @@ PoseObservation ContactOfRun::Observe(const FramePoints& points) const {
     along.push_back(RefitFlatContact(*flat, Moved(points.now.point_mm, mode), points.cov_mm2,
                                      points.thickness_mm));
   }
-  return ObservePlane(points.time_s, flat->plane, reference_.axis, along, axes_);
+  PoseObservation observed =
+      ObservePlane(points.time_s, flat->plane, reference_.axis, along, axes_);
+  for (const Image<Eigen::Vector3f>& error : points.along_pose_mm) {
+    const GroundPlane there = RefitFlatContact(*flat, Moved(points.now.point_mm, error),
+                                               points.cov_mm2, points.thickness_mm);
+    const RigPose off = PoseOf(there, reference_.axis) - observed.pose;
+    observed.cov += off * off.transpose();
+  }
+  return observed;
 }
 
 PoseObservation ContactOfRun::ObserveSymmetry(const FramePoints& points,
@@ -251,6 +282,11 @@ PoseObservation ContactOfRun::ObserveSymmetry(const FramePoints& points,
   }
   PoseObservation pitch = ObservePitch(points.time_s, *symmetry, along);
   pitch.why = why;
+  for (const Image<Eigen::Vector3f>& error : points.along_pose_mm) {
+    const auto there = FindSymmetry(Moved(points.now.point_mm, error), sigma, reference_.axis, 0,
+                                    options_.symmetry);
+    if (there) pitch.cov(0, 0) += std::pow(there->pitch_rad - symmetry->pitch_rad, 2);
+  }
   return pitch;
 }
 

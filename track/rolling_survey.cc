@@ -97,6 +97,7 @@ struct RollingSurvey::Impl {
     std::unique_ptr<StereoSequence> sequence;
     Image<Eigen::Vector3d> material_mm;  // wheel frame; NaN where the view has no point
     Eigen::MatrixXf material_along;      // (points of the grid, K): of their MaterialAngle()
+    std::optional<RelativePose> pose;    // of the cameras, where frames are held against it
   };
 
   Prepared& Prepare(std::size_t view);
@@ -104,6 +105,12 @@ struct RollingSurvey::Impl {
   Eigen::MatrixXf MaterialAlong(const WheelReferenceView& view,
                                 const Image<Eigen::Vector3d>& material_mm) const;
   void Match(const GrayImage& left, const GrayImage& right, double rough_rad, RollingFrame& frame);
+  StereoRig RigOf(const Prepared& prepared, const std::vector<StereoObservation>& observations,
+                  RollingFrame& frame) const;
+  int watch_stride() const {  // points so far apart share no noise
+    const FieldOptions& field = options.matching.field;
+    return std::max(1, (field.correlator.subset_px + field.step_px - 1) / field.step_px);
+  }
   void Keep(const Prepared& prepared, const StereoField& field, RollingFrame& frame);
   void AddRow(const RollingFrame& frame, const Prepared& prepared, double rough_rad);
   void Unwrap();
@@ -195,12 +202,44 @@ RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
       view,
       std::make_unique<StereoSequence>(wheel.rig, v.left, v.right, options.matching, mask),
       {},
+      {},
       {}};
   anew.material_mm = MaterialOf(v, anew.sequence->reference());
+  if (options.refinement != PoseRefinement::kOff) {
+    const StereoField& field = anew.sequence->reference();
+    try {
+      anew.pose = PoseOfPair(wheel.rig,
+                             ObservationsOf(field, UnitCovariance(field, field), watch_stride()));
+    } catch (const InputError&) {
+      // Its matches do not tell a pose: frames keep that of the calibration.
+    }
+  }
   anew.material_along = MaterialAlong(v, anew.material_mm);
   while (prepared.size() >= static_cast<std::size_t>(options.views_held)) prepared.pop_back();
   prepared.push_front(std::move(anew));
   return prepared.front();
+}
+
+// The rig as it was in a frame: refined where the right camera has moved since the view was taken.
+StereoRig RollingSurvey::Impl::RigOf(const Prepared& by,
+                                     const std::vector<StereoObservation>& observations,
+                                     RollingFrame& frame) const {
+  StereoRig rig = wheel.rig;
+  frame.right_from_left.reset();
+  frame.right_from_left_moved.clear();
+  if (!by.pose) return rig;
+  try {
+    const CameraMotion motion = MotionSince(wheel.rig, *by.pose, observations);
+    if (!motion.moved && options.refinement != PoseRefinement::kAlways) return rig;
+    rig.right_from_left = WithBaselineOf(rig, PoseAfter(motion.since.change, rig.right_from_left));
+    frame.right_from_left = rig.right_from_left;
+    for (const auto& error : ErrorsOfMotion(motion.since.cov_random, rig.baseline_mm())) {
+      frame.right_from_left_moved.push_back(PoseAfter(error, rig.right_from_left));
+    }
+  } catch (const InputError&) {
+    // Its matches do not tell a pose: that of the calibration stays.
+  }
+  return rig;
 }
 
 // The points that both cameras see, of known material.
@@ -208,7 +247,8 @@ void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, Rol
   const StereoSequence& sequence = *by.sequence;
   const Image<Eigen::Vector3d>& material = by.material_mm;
   const Image<Eigen::Vector3f> unit = UnitCovariance(sequence.reference(), field);
-  const StereoSurface surface = TriangulateField(wheel.rig, field, unit);
+  const StereoRig rig = RigOf(by, ObservationsOf(field, unit, watch_stride()), frame);
+  const StereoSurface surface = TriangulateField(rig, field, unit);
   const auto cov = CovarianceOf(surface.instant, unit);
   const auto usable = [&](int r, int c) {
     return surface.status(r, c) == Status::kOk && material(r, c).allFinite();

@@ -5,6 +5,7 @@
 #include <cstdint>
 #include <limits>
 #include <memory>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -12,6 +13,7 @@
 #include "calib/image.h"
 #include "match/stereo_sequence.h"
 #include "track/angle_smoother.h"
+#include "track/camera_motion.h"
 #include "track/rolling_angles.h"
 #include "track/wheel_reference.h"
 
@@ -32,6 +34,8 @@ struct RollingSurveyOptions {
   double most_scatter_rad = 0.03;
   int most_points = 1500;  // kept of a frame, spread evenly
   int views_held = 4;      // reference images that are prepared at a time
+  // Of the right camera's pose since the reference image was taken, frame by frame.
+  PoseRefinement refinement = PoseRefinement::kOff;
   RollingAnglesOptions angles;
   AngleSmootherOptions smoother;
 
@@ -74,6 +78,10 @@ struct RollingFrame {
   double measured_angle_rad = kNone, sigma_measured_rad = kNone;  // by this frame alone
   double lean = kNone;   // on the smoother, see SmoothedAngle
   bool outlier = false;  // this frame's own angle contradicts the others and does not count
+  // Where the right camera has moved and its pose is refined: the one used, and that with one
+  // standard deviation of its errors along each of their independent directions.
+  std::optional<Rigid3> right_from_left;
+  std::vector<Rigid3> right_from_left_moved;
   std::vector<RollingPoint> points;
 
   static constexpr double kNone = std::numeric_limits<double>::quiet_NaN();

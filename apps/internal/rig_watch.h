@@ -10,6 +10,7 @@
 #include "calib/stereo_rig.h"
 #include "calib/triangulate.h"
 #include "io/series_frame.h"
+#include "track/camera_motion.h"
 
 namespace plumbline::internal {
 
@@ -23,12 +24,7 @@ class RigWatch {
  public:
   struct Options {
     PoseRefinement refinement = PoseRefinement::kOff;
-    // The camera has moved where the chi-squared (5 degrees of freedom) of its motion, by what the
-    // matches scatter where that is more than they claim, is above alarm_chi2, and where it takes
-    // the points from their epipolar lines by more than alarm_epipolar_px (rms): what lenses get
-    // wrong is no motion.
-    double alarm_chi2 = 40;
-    double alarm_epipolar_px = 0.015;
+    CameraMotionLimits limits;
   };
 
   // What a pair shows, and the rig to measure it with.
@@ -52,8 +48,6 @@ class RigWatch {
   static constexpr int kPoseModes = 10;
 
  private:
-  bool Moved(double chi2, double by_px) const;
-  Rigid3 WithBaseline(Rigid3 pose) const;
   void SetPose(const Eigen::Matrix<double, 6, 1>& change,
                const std::vector<Eigen::Matrix<double, 6, 1>>& errors, Verdict& verdict) const;
 

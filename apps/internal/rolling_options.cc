@@ -38,6 +38,7 @@ RollingRunOptions RollingOptionSet::Options(const StereoRunOptions& dic, bool or
   options.survey.matching = options.sequence;
   options.survey.matching.strategy = StereoStrategy::kReference;
   options.survey.smoother.jerk_rad_s25 = jerk_rad_s25_;
+  options.survey.refinement = dic.evaluation.refinement;
   options.evaluation = dic.evaluation;
   options.roi = dic.roi;
   options.mask = dic.mask;

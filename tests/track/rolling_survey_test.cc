@@ -116,6 +116,39 @@ TEST_F(RollingSurveyOfAnArc, FindsTheAnglesOfALoadedTyreAndMarksWhatIsNotIt) {
   EXPECT_NEAR(deepest, -18, 1.5);
 }
 
+TEST_F(RollingSurveyOfAnArc, FollowsARightCameraThatVibrates) {
+  Scenario shaken = Loaded();
+  shaken.motion.vibration_rad = 0.05 * kDegrees;
+  LiftedWheel wheel(shaken);
+  const StereoFrame& pair = wheel.Pair(1);
+  RollingSurveyOptions options = Options();
+  options.refinement = PoseRefinement::kWhenSignificant;
+  RollingSurvey follows(*reference_, options), does_not(*reference_, Options());
+  const RollingFrame with = follows.Add(1, 0.1, pair.left, pair.right);
+  const RollingFrame without = does_not.Add(1, 0.1, pair.left, pair.right);
+  ASSERT_TRUE(with.right_from_left.has_value()) << with.problem;
+  EXPECT_EQ(with.right_from_left_moved.size(), 5U);
+  EXPECT_FALSE(without.right_from_left.has_value());
+  // Held against the truth: mean distance of the points.
+  const auto truth = wheel.virtual_rig().Truth(1);
+  EXPECT_TRUE(truth->right_from_left().rotation.isApprox(with.right_from_left->rotation, 2e-4));
+  const auto off = [&](const RollingFrame& frame) {
+    double sum = 0;
+    for (const RollingPoint& p : frame.points) {
+      const auto point = truth->UnderLeftPixel(p.left_px);
+      const Rigid3 rig_from_ground =
+          wheel.virtual_rig().GroundFromRig(wheel.virtual_rig().FrameTime(1)).Inverse();
+      if (point) sum += (rig_from_ground * point->position_mm - p.point_mm).norm();
+    }
+    return sum / static_cast<double>(frame.points.size());
+  };
+  EXPECT_GT(off(without), 0.1);
+  EXPECT_LT(off(with), 0.3 * off(without));
+  // One that stands still keeps its pose.
+  EXPECT_FALSE(follows.Add(2, 0.2, rolling_->Pair(2).left, rolling_->Pair(2).right)
+                   .right_from_left.has_value());
+}
+
 TEST_F(RollingSurveyOfAnArc, RefusesOptionsThatMakeNoSense) {
   RollingSurveyOptions options = Options();
   options.least_points = 3;
