@@ -65,7 +65,7 @@ struct RollingAngle {
   double angle_rad = 0;   // NaN: no observation of the frame counts
   double sigma_rad = 0;   // random, of this frame; without what all frames have in common
   double used_share = 0;  // sum of the weights over the number of observations
-  // How far places that say otherwise are from the turn since the frame before: the median
+  // How far places that say otherwise are from the turn since the frame before: sigma by the median
   // deviation of all, times their share.
   double turn_spread_rad = 0;
 };

@@ -82,7 +82,8 @@ FrameTurn Differences::Refined(double turn) const {
                         : typical_rad / std::sqrt(std::max(out.support, 1e-12));
   double all = 0;
   for (const double sigma : sigma_rad) all += typical_rad / std::max(sigma, typical_rad);
-  out.spread_rad = Median(std::move(off)) * (1 - out.support / all);
+  constexpr double kSigmaOfMedian = 1.4826;  // of a normal distribution
+  out.spread_rad = kSigmaOfMedian * Median(std::move(off)) * (1 - out.support / all);
   return out;
 }
 
