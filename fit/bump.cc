@@ -17,6 +17,34 @@ namespace {
 constexpr double kSigmas = 1.5;
 constexpr double kTopShare = 0.75;  // of the height: what rises above it tells where the top is
 constexpr double kLeastSpread_mm = 0.02;
+constexpr double kMostHoles = 0.1;  // of an area: points that are missing in it
+
+// Of each missing point how many hang together with it; 0 where they reach the end of the grid, and
+// for points that are there.
+Image<int> HolesOf(const Image<double>& values) {
+  const int columns = values.width(), rows = values.height();
+  Image<int> holes(values.size(), 0);
+  Image<std::uint8_t> seen(values.size(), 0);
+  for (std::size_t first = 0; first < values.pixel_count(); ++first) {
+    if (seen.data()[first] != 0 || !std::isnan(values.data()[first])) continue;
+    std::vector<std::size_t> hole = {first};
+    seen.data()[first] = 1;
+    bool open = false;
+    for (std::size_t k = 0; k < hole.size(); ++k) {
+      const int r = static_cast<int>(hole[k]) / columns, c = static_cast<int>(hole[k]) % columns;
+      open = open || r == 0 || c == 0 || r + 1 == rows || c + 1 == columns;
+      for (int row = std::max(0, r - 1); row <= std::min(rows - 1, r + 1); ++row) {
+        for (int column = std::max(0, c - 1); column <= std::min(columns - 1, c + 1); ++column) {
+          if (seen(row, column) != 0 || !std::isnan(values(row, column))) continue;
+          seen(row, column) = 1;
+          hole.push_back(static_cast<std::size_t>(row * columns + column));
+        }
+      }
+    }
+    for (const std::size_t k : hole) holes.data()[k] = open ? 0 : static_cast<int>(hole.size());
+  }
+  return holes;
+}
 
 class Finder {
  public:
@@ -30,6 +58,7 @@ class Finder {
     for (std::size_t i = 0; i < clearance_.pixel_count(); ++i) {
       clearance_.data()[i] = surface.point_mm.data()[i].z() - thickness_mm.data()[i];
     }
+    holes_ = HolesOf(clearance_);
   }
 
   std::vector<Bump> Find() {
@@ -82,13 +111,15 @@ class Finder {
   }
 
   // The points above a level that hang together with a maximum, marked as seen; nothing where they
-  // hang together with what was seen before, with a missing point or with the end of the grid.
+  // hang together with what was seen before or with the end of what is seen, or where too many of
+  // them are missing.
   std::optional<std::vector<std::size_t>> Area(std::size_t top, double level) {
     const int columns = clearance_.width(), rows = clearance_.height();
     std::vector<std::size_t> area = {top};
     Image<std::uint8_t> own(clearance_.size(), 0);
     own.data()[top] = 1;
     bool surrounded = true;
+    int missing = 0, largest_hole = 0;
     for (std::size_t k = 0; k < area.size(); ++k) {
       const int r = static_cast<int>(area[k]) / columns, c = static_cast<int>(area[k]) % columns;
       if (seen_(r, c) != 0) surrounded = false;
@@ -97,30 +128,41 @@ class Finder {
         for (int dc = -1; dc <= 1; ++dc) {
           const int row = r + dr, column = c + dc;
           if (row < 0 || column < 0 || row >= rows || column >= columns ||
-              std::isnan(clearance_(row, column))) {
+              (std::isnan(clearance_(row, column)) && holes_(row, column) == 0)) {
             surrounded = false;
             continue;
           }
-          if (own(row, column) != 0 || !(clearance_(row, column) > level)) continue;
+          if (own(row, column) != 0) continue;
+          if (std::isnan(clearance_(row, column))) {
+            own(row, column) = 1;
+            missing += 1;
+            largest_hole = std::max(largest_hole, holes_(row, column));
+          }
+          if (!(clearance_(row, column) > level)) continue;
           own(row, column) = 1;
           area.push_back(static_cast<std::size_t>(row * columns + column));
         }
       }
     }
-    if (!surrounded) return std::nullopt;
+    const double most = kMostHoles * static_cast<double>(area.size());
+    if (!surrounded || std::max(missing, largest_hole) > most) return std::nullopt;
     return area;
   }
 
   // The area of the cells around its points.
   double AreaOf(const std::vector<std::size_t>& area) const {
     double sum = 0;
+    int cells = 0;  // that are whole
     for (const std::size_t k : area) {
       const auto columns = static_cast<std::size_t>(clearance_.width());
       const Eigen::Vector2d along = (At(k + 1) - At(k - 1)) / 2;
       const Eigen::Vector2d across = (At(k + columns) - At(k - columns)) / 2;
-      sum += std::abs(along.x() * across.y() - along.y() * across.x());
+      const double cell = std::abs(along.x() * across.y() - along.y() * across.x());
+      if (!std::isfinite(cell)) continue;
+      sum += cell;
+      ++cells;
     }
-    return sum;
+    return sum * static_cast<double>(area.size()) / cells;
   }
 
   // Of what rises above a level.
@@ -135,11 +177,23 @@ class Finder {
     return sum / weights;
   }
 
+  // One sigma of what moves the heights of all points at once.
+  double SigmaOfGround(std::size_t place) const {
+    double variance = 0;
+    for (const Image<Eigen::Vector3f>& error : surface_.along_common_mm) {
+      variance += std::pow(error.data()[place].z(), 2);
+    }
+    return std::sqrt(variance);
+  }
+
   // The points around an area that touch the ground, those left out that begin to lift off.
   std::vector<std::size_t> Surroundings(const std::vector<std::size_t>& area) const {
+    Image<std::uint8_t> inside(clearance_.size(), 0);
+    for (const std::size_t k : area) inside.data()[k] = 1;
+    const double flat_mm = std::max(options_.flat_mm, 2 * SigmaOfGround(area.front()));
     std::vector<std::size_t> ring;
     for (std::size_t k = 0; k < clearance_.pixel_count(); ++k) {
-      if (!(std::abs(clearance_.data()[k]) <= options_.flat_mm)) continue;
+      if (inside.data()[k] != 0 || !(std::abs(clearance_.data()[k]) <= flat_mm)) continue;
       const bool near = std::any_of(area.begin(), area.end(), [&](std::size_t a) {
         return (At(k) - At(a)).norm() <= options_.ring_mm;
       });
@@ -208,6 +262,7 @@ class Finder {
   const NeighbourCorrelation& neighbours_;
   const BumpOptions& options_;
   Image<double> clearance_;
+  Image<int> holes_;
   Image<std::uint8_t> seen_;
 };
 

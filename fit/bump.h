@@ -12,8 +12,10 @@ struct BumpOptions {
   double least_height_mm = 2;     // above its surroundings
   double least_significance = 5;  // height over its sigma
   double top_radius_mm = 6;       // of the points whose mean is the top
-  double flat_mm = 0.5;           // clearance up to which surroundings touch the ground
-  double ring_mm = 60;            // how far around the area above half of the height they count
+  // Clearance up to which surroundings touch the ground; two sigmas of the ground's height where
+  // that is known no better (SurfacePoints::along_common_mm).
+  double flat_mm = 0.5;
+  double ring_mm = 60;  // how far around the area above half of the height they count
 
   // Throws UsageError naming the broken constraint.
   void Check() const;
@@ -36,7 +38,8 @@ struct Bump {
 // The clearance of a point is its height over the ground plane less the thickness of the carcass.
 // A bump is a maximum of the clearance's mean over top_radius_mm around which the points above half
 // of it are surrounded by lower ones, without a higher maximum and without reaching the end of what
-// is seen: where the tyre lifts off it rises too, but comes down nowhere. Its top is where the
+// is seen: where the tyre lifts off it rises too, but comes down nowhere. Of the points a tenth may
+// be missing, here and there. Its top is where the
 // centre of what rises above three quarters of the maximum lies, not where noise makes it highest,
 // and its height is the mean there over top_radius_mm above that of the points around that touch
 // the ground: those within 1.5 sigmas of where their clearances lie densest, since others begin to
