@@ -27,7 +27,30 @@ std::optional<std::vector<double>> ParseNumbers(const std::string& text, char pa
   }
 }
 
-// "20", or "-100:22,0:20,100:22": millimetres of thickness by place.
+const Channel& Named(const std::vector<Channel>& channels, const std::string& name) {
+  const auto found = std::find_if(channels.begin(), channels.end(),
+                                  [&](const Channel& channel) { return channel.name == name; });
+  if (found != channels.end()) return *found;
+  std::string there;
+  for (const Channel& channel : channels) {
+    there += (there.empty() ? "" : ", ") + channel.name;
+  }
+  throw UsageError(fmt::format("There is no channel '{}' in the table of --channels{}.", name,
+                               there.empty() ? "" : "; there are " + there));
+}
+
+double MillimetresASecond(const Channel& channel) {
+  if (channel.units == "m/s") return 1e3;
+  if (channel.units == "km/h") return 1e3 / 3.6;
+  if (channel.units == "mm/s") return 1;
+  throw UsageError(
+      fmt::format("The channel '{}' of the vehicle's speed is in '{}': m/s, km/h or "
+                  "mm/s are understood.",
+                  channel.name, channel.units));
+}
+
+}  // namespace
+
 CarcassThickness ParseCarcass(const std::string& text, double crown_y_mm) {
   CarcassThickness carcass;
   const auto refuse = [&] {
@@ -54,30 +77,6 @@ CarcassThickness ParseCarcass(const std::string& text, double crown_y_mm) {
   carcass.Check();
   return carcass;
 }
-
-const Channel& Named(const std::vector<Channel>& channels, const std::string& name) {
-  const auto found = std::find_if(channels.begin(), channels.end(),
-                                  [&](const Channel& channel) { return channel.name == name; });
-  if (found != channels.end()) return *found;
-  std::string there;
-  for (const Channel& channel : channels) {
-    there += (there.empty() ? "" : ", ") + channel.name;
-  }
-  throw UsageError(fmt::format("There is no channel '{}' in the table of --channels{}.", name,
-                               there.empty() ? "" : "; there are " + there));
-}
-
-double MillimetresASecond(const Channel& channel) {
-  if (channel.units == "m/s") return 1e3;
-  if (channel.units == "km/h") return 1e3 / 3.6;
-  if (channel.units == "mm/s") return 1;
-  throw UsageError(
-      fmt::format("The channel '{}' of the vehicle's speed is in '{}': m/s, km/h or "
-                  "mm/s are understood.",
-                  channel.name, channel.units));
-}
-
-}  // namespace
 
 void ContactOptionSet::Declare(OptionTable& options) {
   options.Add({.name = "carcass",
@@ -157,35 +156,57 @@ RollingContactOptions ContactOptionSet::Options(double crown_y_mm) const {
   return options;
 }
 
-void ContactOptionSet::AddChannels(const std::vector<Channel>& channels,
-                                   const RollingWheel& rolling,
-                                   RollingContactOptions* options) const {
+void ContactOptionSet::CheckChannels(const std::vector<Channel>& channels) const {
+  if (!wheel_speed_.empty()) (void)Named(channels, wheel_speed_);
   if (vehicle_speed_.empty()) return;
   const Channel& vehicle = Named(channels, vehicle_speed_);
-  const double scale = MillimetresASecond(vehicle);
-  SampledSignal speed{vehicle.time_s, vehicle.value};
-  for (double& value : speed.value) value *= scale;
-  if (std::isfinite(vehicle.clock_offset_s)) {
-    options->channel_clock.offset_s = vehicle.clock_offset_s;
-    if (std::isfinite(vehicle.sigma_clock_offset_s)) {
-      options->channel_clock.sigma_s = vehicle.sigma_clock_offset_s;
-    }
-  } else if (!wheel_speed_.empty()) {
-    const Channel& theirs = Named(channels, wheel_speed_);
+  (void)MillimetresASecond(vehicle);
+  if (std::isfinite(vehicle.clock_offset_s) || !wheel_speed_.empty()) return;
+  throw UsageError(
+      "How the logger's clock goes against the cameras' is not known: give --channel-offset, or "
+      "with --wheel-speed the channel of the wheel's speed.");
+}
+
+std::string ContactOptionSet::AddChannels(const RollingWheel& rolling,
+                                          std::vector<Channel>* channels,
+                                          RollingContactOptions* options) const {
+  CheckChannels(*channels);
+  std::string found;
+  if (!wheel_speed_.empty() && !std::isfinite(channels->front().clock_offset_s)) {
+    const Channel& theirs = Named(*channels, wheel_speed_);
     SampledSignal ours;
     for (const RollingFrame& frame : rolling.frames) {
       if (!std::isfinite(frame.speed_rad_s)) continue;
       ours.time_s.push_back(frame.time_s);
       ours.value.push_back(frame.speed_rad_s);
     }
-    options->channel_clock = FindClockOffset(ours, {theirs.time_s, theirs.value});
-  } else {
-    throw UsageError(
-        "How the logger's clock goes against the cameras' is not known: give --channel-offset, or "
-        "with --wheel-speed the channel of the wheel's speed.");
+    try {
+      const ClockOffset clock = FindClockOffset(ours, {theirs.time_s, theirs.value});
+      for (Channel& channel : *channels) {
+        channel.clock_offset_s = clock.offset_s;
+        channel.sigma_clock_offset_s = clock.sigma_s;
+      }
+      found = fmt::format(
+          "By the wheel's speed the logger's clock reads {:.4f} s when that of the frames is 0, "
+          "sigma {:.1g} s.",
+          clock.offset_s, clock.sigma_s);
+    } catch (const InputError& error) {
+      return fmt::format(
+          "The logger's clock stays unknown, and there is no slip by its channel: {}",
+          error.what());
+    }
+  }
+  if (vehicle_speed_.empty()) return found;
+  const Channel& vehicle = Named(*channels, vehicle_speed_);
+  SampledSignal speed{vehicle.time_s, vehicle.value};
+  for (double& value : speed.value) value *= MillimetresASecond(vehicle);
+  options->channel_clock.offset_s = vehicle.clock_offset_s;
+  if (std::isfinite(vehicle.sigma_clock_offset_s)) {
+    options->channel_clock.sigma_s = vehicle.sigma_clock_offset_s;
   }
   options->vehicle_speed_mm_s = std::move(speed);
   options->sigma_vehicle_speed_mm_s = 1e3 * vehicle_speed_sigma_m_s_;
+  return found;
 }
 
 }  // namespace plumbline::internal

@@ -10,6 +10,10 @@
 
 namespace plumbline::internal {
 
+// "20", or "-100:22,0:20,100:22": millimetres of thickness, one for all or by place along the axis
+// from the middle of the tread, which lies at crown_y_mm. Throws UsageError.
+CarcassThickness ParseCarcass(const std::string& text, double crown_y_mm);
+
 // What is said of the ground under a rolling tyre, of its carcass and of its slip.
 class ContactOptionSet {
  public:
@@ -19,11 +23,16 @@ class ContactOptionSet {
   // UsageError.
   RollingContactOptions Options(double crown_y_mm) const;
 
-  // The vehicle's speed out of the channels, on our clock as far as that is said or follows from
-  // the wheel's speed; nothing where none was named. Throws UsageError for a channel that is not
-  // there or has no unit of a speed, InputError as FindClockOffset.
-  void AddChannels(const std::vector<Channel>& channels, const RollingWheel& rolling,
-                   RollingContactOptions* options) const;
+  // Before anything is measured. Throws UsageError for a channel that is not there or has no unit
+  // of a speed, and where nothing would tell the logger's clock.
+  void CheckChannels(const std::vector<Channel>& channels) const;
+
+  // The vehicle's speed out of the channels, on our clock. Where that is not said it follows from
+  // the wheel's speed, and is written into the channels, which are of one logger. Says in a
+  // sentence what was found, or that the clocks could not be told apart: there is no slip by the
+  // channel then. Empty: there was nothing to find.
+  std::string AddChannels(const RollingWheel& rolling, std::vector<Channel>* channels,
+                          RollingContactOptions* options) const;
 
  private:
   std::string carcass_ = "0", ground_turns_, vehicle_speed_, wheel_speed_, convention_ = "iso8855";

@@ -102,7 +102,7 @@ class MeasureCommand : public Command {
   Measurement Sgbm(const RigInput& rig, std::uint64_t seed) const;
   Measurement Dic(const RigInput& rig, std::uint64_t seed) const;
   std::optional<Measurement> Rolling(const CommonOptions& common,
-                                     const std::vector<Channel>& channels) const;
+                                     std::vector<Channel>* channels) const;
   StereoRunOptions DicOptions(std::uint64_t seed, int bits) const;
   void CheckRolling() const;
   RigInput Rig() const;
@@ -327,7 +327,8 @@ void MeasureCommand::CheckRolling() const {
 
 // The first pass over a rolling tyre. Nothing: stopped.
 std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common,
-                                                   const std::vector<Channel>& channels) const {
+                                                   std::vector<Channel>* channels) const {
+  contact_.CheckChannels(*channels);
   std::vector<fs::path> files;
   const int bits = ReferencePair(&files).left.bits;
   const auto run = std::make_shared<RollingRun>(
@@ -342,9 +343,10 @@ std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common,
   });
   progress.reset();
   if (!whole) return std::nullopt;
-  contact_.AddChannels(channels, run->wheel(), &contact);
+  const std::string clock = contact_.AddChannels(run->wheel(), channels, &contact);
   run->FindContact(std::move(contact));
   Measurement out{run->Header(), {}, {}, 1, run->Notes(), files};
+  if (!clock.empty()) out.notes.push_back(clock);
   out.measure = [run](const StereoFrame& pair, std::int64_t position) {
     return Reported(run->Measure(pair, position));
   };
@@ -354,8 +356,7 @@ std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common,
 
 RigInput MeasureCommand::Rig() const {
   if (!rolling_.given()) return recording_.Rig();
-  RigInput rig{rolling_.Wheel().rig, std::nullopt, {rolling_.file()}, {}};
-  return rig;
+  return {rolling_.Wheel().rig, std::nullopt, {rolling_.file()}, {}};
 }
 
 // Where --resume finds the run finished: what there is to say of that.
@@ -402,12 +403,12 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
         "Note: this calibration does not say how sure it is, so the calibration part of all "
         "uncertainties is unknown (NaN). Calibrate with plumbline calibrate to have it.");
   }
-  const std::vector<Channel> channels = channels_.Read();
+  std::vector<Channel> channels = channels_.Read();
   const auto source = recording_.Open();
   const InterruptGuard guard;
   std::optional<Measurement> chosen;
   if (rolling_.given()) {
-    chosen = Rolling(common, channels);
+    chosen = Rolling(common, &channels);
   } else {
     chosen = dic ? Dic(rig, common.seed) : Sgbm(rig, common.seed);
   }
