@@ -8,33 +8,9 @@
 
 #include "calib/error.h"
 #include "io/internal/table_file.h"
-#include "match/neighbour_correlation.h"
+#include "io/series_points.h"
 
 namespace plumbline {
-namespace {
-
-SurfacePoints PointsOf(const Surface& surface) {
-  const ImageSize size = surface.status.size();
-  SurfacePoints points;
-  points.point_mm = Image<Eigen::Vector3d>(size, Eigen::Vector3d::Zero());
-  points.cov_random_mm2 =
-      Image<Eigen::Matrix<float, 6, 1>>(size, Eigen::Matrix<float, 6, 1>::Zero());
-  Image<Eigen::Vector3f> calibration(size, Eigen::Vector3f::Zero());
-  bool known = false;
-  for (std::size_t i = 0; i < surface.status.pixel_count(); ++i) {
-    points.point_mm.data()[i] = surface.position_mm.data()[i].cast<double>();
-    const Eigen::Vector3f variance = surface.sigma_random_mm.data()[i].cwiseAbs2();
-    points.cov_random_mm2.data()[i] << variance.x(), 0, 0, variance.y(), 0, variance.z();
-    const Eigen::Vector3f& common = surface.sigma_calibration_mm.data()[i];
-    if (!common.allFinite()) continue;
-    known = true;
-    calibration.data()[i] = common;
-  }
-  if (known) points.along_modes_mm.push_back(std::move(calibration));
-  return points;
-}
-
-}  // namespace
 
 CutPlane ParseSection(const std::string& text) {
   double at_mm = 0;
@@ -54,11 +30,8 @@ CutPlane ParseSection(const std::string& text) {
 }
 
 std::size_t ExportSection(const std::filesystem::path& file, const SeriesFrame& frame,
-                          const CutPlane& plane, int step_px, int subset_px) {
-  const SurfacePoints points = PointsOf(frame.surface);
-  const auto neighbours =
-      NeighbourCorrelation::OfOverlap(points.size(), step_px, std::max(subset_px | 1, 3), 1);
-  const std::vector<SectionPoint> section = CutSurface(points, plane, neighbours);
+                          const CutPlane& plane, const NeighbourCorrelation& neighbours) {
+  const std::vector<SectionPoint> section = CutSurface(PointsOf(frame), plane, neighbours);
   internal::WriteTableFile(file, [&](std::ostream& out) {
     out << "along_mm,up_mm,x_mm,y_mm,z_mm,sigma_random_mm,sigma_calibration_mm\n";
     for (const SectionPoint& point : section) {

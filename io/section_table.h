@@ -5,6 +5,7 @@
 
 #include "fit/cross_section.h"
 #include "io/series_frame.h"
+#include "match/neighbour_correlation.h"
 
 namespace plumbline {
 
@@ -16,11 +17,9 @@ CutPlane ParseSection(const std::string& text);
 // x_mm, y_mm, z_mm, sigma_random_mm, sigma_calibration_mm (of the line, perpendicular to it in the
 // plane). A line of nan parts two pieces. Returns the number of points.
 //
-// The file of a run holds sigmas of single components: these are taken as independent of each other
-// for the random part and as one common error for the calibration's. step_px, subset_px: of the
-// run, for what neighbours have in common.
+// Errors of the points: PointsOf() of io/series_points.h. neighbours: NeighboursOf() the run.
 // Throws EnvironmentError naming the file.
 std::size_t ExportSection(const std::filesystem::path& file, const SeriesFrame& frame,
-                          const CutPlane& plane, int step_px, int subset_px);
+                          const CutPlane& plane, const NeighbourCorrelation& neighbours);
 
 }  // namespace plumbline

@@ -85,4 +85,13 @@ std::string RecipeOfTheData(const std::string& recipe_toml) {
   }
 }
 
+std::string RecipeText(const std::string& recipe_toml, const std::string& command,
+                       const std::string& option) {
+  try {
+    return toml::parse(recipe_toml)[command][option].value_or(std::string());
+  } catch (const toml::parse_error&) {
+    return {};
+  }
+}
+
 }  // namespace plumbline

@@ -44,4 +44,8 @@ RunState FindRun(const std::filesystem::path& file);
 // the same. What is no TOML is given back as it is.
 std::string RecipeOfTheData(const std::string& recipe_toml);
 
+// The text that a recipe gives an option of a command; empty where it has none.
+std::string RecipeText(const std::string& recipe_toml, const std::string& command,
+                       const std::string& option);
+
 }  // namespace plumbline

@@ -5,22 +5,20 @@
 #include <functional>
 
 #include "apps/internal/command.h"
+#include "apps/internal/contact_options.h"
 #include "apps/internal/result_file.h"
 #include "calib/error.h"
+#include "io/bump_table.h"
 #include "io/export.h"
 #include "io/frame_table.h"
 #include "io/section_table.h"
+#include "io/series_points.h"
+#include "io/series_start.h"
 
 namespace plumbline::internal {
 namespace {
 
 namespace fs = std::filesystem;
-
-// "surface.ply" and frame 7 of several: "surface_0007.ply".
-fs::path NumberedFile(const fs::path& file, std::int64_t index) {
-  return file.parent_path() /
-         fmt::format("{}_{:04}{}", file.stem().string(), index, file.extension().string());
-}
 
 std::int64_t CountOk(const Image<Status>& status) {
   return std::count(status.values().begin(), status.values().end(), Status::kOk);
@@ -30,13 +28,15 @@ class ExportCommand : public Command {
  public:
   std::string Name() const override { return "export"; }
   std::string Summary() const override {
-    return "Write the points of a run, or a table of its frames, for other programs (PLY, CSV).";
+    return "Write the points of a run, or a table of its frames or bumps, for other programs (PLY, "
+           "CSV).";
   }
   std::string Footer() const override {
     return "Example:\n  plumbline export run.h5 --format ply -o run.ply   (CloudCompare, MeshLab, "
            "ParaView)\n  plumbline export run.h5 --format frames -o frames.csv   (a line a frame: "
-           "plane, "
-           "wheel, patch, slip)";
+           "plane, wheel, patch, slip)\n"
+           "  plumbline export run.h5 --format bumps -o bumps.csv   (a line a bump: what the tyre "
+           "rolls over)";
   }
 
   void Declare(OptionTable& options) override {
@@ -47,9 +47,12 @@ class ExportCommand : public Command {
                 &file_);
     options.Add(
         {.name = "format",
-         .help = "of the valid points: ply is binary, csv is text; of one camera csv, with all "
-                 "points and their status. frames: of each frame as a whole, a line of one csv",
-         .choices = {"ply", "csv", "frames"}},
+         .help =
+             "of the valid points: ply is binary, csv is text; of one camera csv, with all "
+             "points and their status. frames: of each frame as a whole, a line of one csv. bumps: "
+             "of each rise of the surface over the ground, as over a nut under a tyre, found by "
+             "itself",
+         .choices = {"ply", "csv", "frames", "bumps"}},
         &format_);
     options.Add(
         {.name = "section",
@@ -57,6 +60,18 @@ class ExportCommand : public Command {
                  "(lateral) or y=0 (longitudinal), mm in the frame of the positions; a csv "
                  "with the sigmas of the line"},
         &section_);
+    options.Add(
+        {.name = "carcass",
+         .help = "with bumps: thickness of the carcass over which they rise, as for plumbline "
+                 "measure; empty: that of the run's recipe",
+         .unit = "mm"},
+        &carcass_);
+    options.Add({.name = "least-height",
+                 .help = "with bumps: of one above its surroundings",
+                 .unit = "mm",
+                 .min = 0.1,
+                 .max = 1e3},
+                &bump_.least_height_mm);
     options.Add({.name = "output",
                  .help = "where the points go; empty: beside the run. Of several frames, each gets "
                          "a file with its number",
@@ -86,6 +101,7 @@ class ExportCommand : public Command {
     }
     if (!section_.empty()) return ExportSections(common, *result.series);
     if (format_ == "frames") return ExportTable(*result.series);
+    if (format_ == "bumps") return ExportBumpTable(*result.series);
     return Export(common, result.series->frame_count(), [&](std::int64_t i, const fs::path& to) {
       const SeriesFrame frame = result.series->Frame(i);
       if (frame.problem.empty() && format_ == "ply") ExportPly(to, frame);
@@ -145,19 +161,17 @@ class ExportCommand : public Command {
 
   CommandReport ExportSections(const CommonOptions& common, const SeriesReader& series) const {
     const CutPlane plane = ParseSection(section_);
+    const NeighbourCorrelation neighbours = NeighboursOf(series);
     return Export(common, series.frame_count(), [&](std::int64_t i, const fs::path& to) {
       const SeriesFrame frame = series.Frame(i);
       if (!frame.problem.empty()) return Exported{frame.problem, 0};
-      const std::size_t points =
-          ExportSection(to, frame, plane, series.step_px(), series.subset_px());
+      const std::size_t points = ExportSection(to, frame, plane, neighbours);
       return Exported{"", static_cast<std::int64_t>(points)};
     });
   }
 
   CommandReport ExportTable(const SeriesReader& series) const {
-    if (frame_) throw UsageError("--frame and --format frames exclude each other.");
-    const fs::path file =
-        output_.empty() ? fs::path(file_).replace_extension(".frames.csv") : fs::path(output_);
+    const fs::path file = TableFile();
     ExportFrameTable(file, series);
     CommandReport report;
     report.json = {{"file", file.string()}, {"frames", series.frame_count()}};
@@ -166,7 +180,47 @@ class ExportCommand : public Command {
     return report;
   }
 
-  std::string file_, output_, section_, format_ = "ply";
+  CommandReport ExportBumpTable(const SeriesReader& series) const {
+    const fs::path file = TableFile();
+    std::string carcass = carcass_;
+    if (carcass.empty()) carcass = RecipeText(series.facts().recipe_toml, "measure", "carcass");
+    const std::vector<FrameBumps> frames =
+        FindBumpsOf(series, ParseCarcass(carcass.empty() ? "0" : carcass, 0), bump_);
+    ExportBumps(file, frames);
+    std::int64_t bumps = 0, with = 0, without_ground = 0;
+    std::string problem;
+    for (const FrameBumps& frame : frames) {
+      bumps += std::ssize(frame.bumps);
+      with += frame.bumps.empty() ? 0 : 1;
+      without_ground += frame.problem.empty() ? 0 : 1;
+      if (problem.empty()) problem = frame.problem;
+    }
+    CommandReport report;
+    report.json = {{"file", file.string()},
+                   {"frames", frames.size()},
+                   {"bumps", bumps},
+                   {"frames_with_bumps", with},
+                   {"frames_not_searched", without_ground}};
+    report.text = fmt::format("Wrote {} bumps, in {} of {} frames, to {}.\n", bumps, with,
+                              frames.size(), file.string());
+    if (without_ground > 0) {
+      report.text +=
+          fmt::format("{} frames were not searched; the first one: {}.\n", without_ground, problem);
+    }
+    return report;
+  }
+
+  // Of a table of all frames.
+  fs::path TableFile() const {
+    if (frame_) {
+      throw UsageError(fmt::format("--frame and --format {} exclude each other.", format_));
+    }
+    return output_.empty() ? fs::path(file_).replace_extension("." + format_ + ".csv")
+                           : fs::path(output_);
+  }
+
+  BumpOptions bump_;
+  std::string file_, output_, section_, carcass_, format_ = "ply";
   std::optional<int> frame_;
 };
 

@@ -90,4 +90,9 @@ fs::path CheckedOutput(const std::string& output, bool overwrite) {
   return path;
 }
 
+std::filesystem::path NumberedFile(const std::filesystem::path& file, std::int64_t index) {
+  return file.parent_path() /
+         fmt::format("{}_{:04}{}", file.stem().string(), index, file.extension().string());
+}
+
 }  // namespace plumbline::internal

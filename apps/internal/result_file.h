@@ -1,5 +1,6 @@
 #pragma once
 
+#include <cstdint>
 #include <filesystem>
 #include <memory>
 #include <optional>
@@ -28,5 +29,8 @@ std::string RigText(const StereoRig& rig);
 // Refuses an output that is there already (unless it may be replaced), that is one of the inputs,
 // or whose folder is not. Throws InputError, EnvironmentError.
 std::filesystem::path CheckedOutput(const std::string& output, bool overwrite);
+
+// "surface.ply" and frame 7 of several: "surface_0007.ply".
+std::filesystem::path NumberedFile(const std::filesystem::path& file, std::int64_t index);
 
 }  // namespace plumbline::internal

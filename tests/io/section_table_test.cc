@@ -37,9 +37,11 @@ SeriesFrame Roof() {
 
 TEST(SectionTable, NumpyReadsTheLineWithItsBandAndItsGap) {
   const auto folder = testing::TestFolder();
-  const std::size_t across = ExportSection(folder / "x.csv", Roof(), ParseSection("x=25"), 8, 9);
+  const auto neighbours = NeighbourCorrelation::OfOverlap({21, 17}, 8, 9, 1);
+  const std::size_t across =
+      ExportSection(folder / "x.csv", Roof(), ParseSection("x=25"), neighbours);
   EXPECT_GT(across, 16U);
-  (void)ExportSection(folder / "y.csv", Roof(), ParseSection("y=0.5"), 8, 9);
+  (void)ExportSection(folder / "y.csv", Roof(), ParseSection("y=0.5"), neighbours);
   const auto read = testing::RunPython(R"py(
 import sys, numpy as np
 t = np.genfromtxt(sys.argv[1] + '/x.csv', delimiter=',', names=True)
