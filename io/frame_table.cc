@@ -1,6 +1,7 @@
 #include "io/frame_table.h"
 
 #include <algorithm>
+#include <cmath>
 #include <functional>
 #include <numbers>
 #include <string>
@@ -72,6 +73,17 @@ void AddGround(Columns& columns) {
     columns.Triple(names[k], of(&GroundAngles::angle_rad), of(&GroundAngles::sigma_random_rad),
                    of(&GroundAngles::sigma_calibration_rad));
   }
+  // As plumbline measure --ground-turns takes them: ground_from_rig = Rz Ry Rx.
+  const auto turn = [&](const char* name, double (*angle)(const Eigen::Matrix3d&)) {
+    columns.Plain(name, [=](const SeriesFrame& frame) {
+      return frame.ground.found ? kDegrees * angle(frame.ground.ground_from_rig.rotation)
+                                : GroundRecord::kNotMeasured;
+    });
+  };
+  turn("ground_turn_x_deg", [](const Eigen::Matrix3d& R) { return std::atan2(R(2, 1), R(2, 2)); });
+  turn("ground_turn_y_deg",
+       [](const Eigen::Matrix3d& R) { return std::asin(std::clamp(-R(2, 0), -1.0, 1.0)); });
+  turn("ground_turn_z_deg", [](const Eigen::Matrix3d& R) { return std::atan2(R(1, 0), R(0, 0)); });
   columns.Plain("ground_inlier_fraction",
                 [](const SeriesFrame& frame) { return frame.ground.inlier_fraction; });
 }

@@ -50,6 +50,18 @@ same('sigma_random_wheel_angle_deg', file['wheel/angle_rad_errors_random'][:], d
 same('slip_angle_deg', file['slip/angle_rad'][:], degrees)
 same('sigma_calibration_slip_ratio', file['slip/ratio_errors_calibration'][:])
 same('ground_tilt_y_deg', file['ground/angles_rad'][:, 1], degrees)
+# Rz Ry Rx of the turns is the ground's rotation.
+def turn(axis, deg):
+    c, s = np.cos(deg / degrees), np.sin(deg / degrees)
+    R = np.eye(3)
+    a, b = (axis + 1) % 3, (axis + 2) % 3
+    R[a, a], R[a, b], R[b, a], R[b, b] = c, -s, s, c
+    return R
+for k in (0, 2):
+    x, y, z = [float(rows[k]['ground_turn_%s_deg' % axis]) for axis in 'xyz']
+    R = turn(2, z) @ turn(1, y) @ turn(0, x)
+    np.testing.assert_allclose(R, file['ground/ground_from_rig'][k][:3, :3], atol=1e-12)
+assert rows[1]['ground_turn_x_deg'] == 'nan'
 same('rig_pitch_deg', file['rig_rotation/pitch_rad'][:], degrees)
 same('sigma_random_radial_mm', file['deformation/radial_mm_errors_random'][:])
 same('speed_mm_s', file['slip/speed'][:])
