@@ -16,8 +16,17 @@ namespace {
 struct Pairs {
   std::vector<Eigen::Vector3d> measured, truth;
   std::vector<Eigen::Vector3d> sigma_random, sigma_calibration;
+  std::vector<Eigen::Vector3d> displacement_error;  // of those that have one from the wheel
   std::int64_t unfounded = 0;
 };
+
+// Towards the wheel's axis, around and along it.
+Eigen::Vector3d AboutTheWheel(const Eigen::Vector3d& error, const Eigen::Vector3d& at,
+                              const WheelRecord& wheel) {
+  const Eigen::Vector3d from = at - wheel.centre_mm;
+  const Eigen::Vector3d inwards = (wheel.axis * wheel.axis.dot(from) - from).normalized();
+  return {error.dot(inwards), error.dot(inwards.cross(wheel.axis)), error.dot(wheel.axis)};
+}
 
 Pairs PairUp(const SeriesFrame& frame, const Image<Eigen::Vector2f>& grid_px,
              const TrueFrame& truth) {
@@ -27,13 +36,18 @@ Pairs PairUp(const SeriesFrame& frame, const Image<Eigen::Vector2f>& grid_px,
   const Rigid3 rig_from_true_ground = truth.ground_from_rig().Inverse();
   // Material points are elsewhere in the left image by now.
   const bool follows = !frame.match.left_displacement_px.empty();
+  const bool on_wheel = frame.wheel.found && !frame.displacement.value_mm.empty();
   std::vector<std::optional<Eigen::Vector3d>> found(surface.status.pixel_count());
+  std::vector<Eigen::Vector3d> displacement(found.size());
   tbb::parallel_for(std::size_t{0}, found.size(), [&](std::size_t i) {
     if (surface.status.data()[i] != Status::kOk) return;
     Eigen::Vector2d pixel = grid_px.data()[i].cast<double>();
     if (follows) pixel += frame.match.left_displacement_px.data()[i].cast<double>();
     const auto point = truth.UnderLeftPixel(pixel);
-    if (point) found[i] = frame_from_rig * (rig_from_true_ground * point->position_mm);
+    if (!point) return;
+    found[i] = frame_from_rig * (rig_from_true_ground * point->position_mm);
+    displacement[i] =
+        frame_from_rig.rotation * (rig_from_true_ground.rotation * point->displacement_mm);
   });
   Pairs pairs;
   for (std::size_t i = 0; i < found.size(); ++i) {
@@ -46,6 +60,10 @@ Pairs PairUp(const SeriesFrame& frame, const Image<Eigen::Vector2f>& grid_px,
     pairs.measured.emplace_back(surface.position_mm.data()[i].cast<double>());
     pairs.sigma_random.emplace_back(surface.sigma_random_mm.data()[i].cast<double>());
     pairs.sigma_calibration.emplace_back(surface.sigma_calibration_mm.data()[i].cast<double>());
+    if (!on_wheel || !frame.displacement.value_mm.data()[i].allFinite()) continue;
+    pairs.displacement_error.push_back(
+        AboutTheWheel(frame.displacement.value_mm.data()[i].cast<double>() - displacement[i],
+                      *found[i], frame.wheel));
   }
   return pairs;
 }
@@ -87,6 +105,20 @@ void ComparePlanes(const GroundRecord& measured, const TrueFrame& truth, TruthCo
   }
 }
 
+void CompareDisplacements(const std::vector<Eigen::Vector3d>& errors, TruthComparison* result) {
+  if (errors.empty()) return;
+  for (Eigen::Index k = 0; k < 3; ++k) {
+    double squares = 0;
+    std::vector<double> sizes;
+    for (const Eigen::Vector3d& error : errors) {
+      squares += error[k] * error[k];
+      sizes.push_back(std::abs(error[k]));
+    }
+    result->rms_displacement_mm[k] = std::sqrt(squares / static_cast<double>(errors.size()));
+    result->median_displacement_error_mm[k] = Median(std::move(sizes));
+  }
+}
+
 }  // namespace
 
 TruthComparison CompareWithTruth(const SeriesFrame& measured, const Image<Eigen::Vector2f>& grid_px,
@@ -98,6 +130,7 @@ TruthComparison CompareWithTruth(const SeriesFrame& measured, const Image<Eigen:
   result.unfounded = pairs.unfounded;
   result.points = static_cast<std::int64_t>(pairs.measured.size());
   if (result.points < 3) return result;
+  CompareDisplacements(pairs.displacement_error, &result);
   const Rigid3 align = RobustRigidMotion(pairs);
   double distance2 = 0, shape2 = 0, height2 = 0;
   std::vector<double> height, random, calibration;

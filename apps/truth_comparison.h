@@ -27,6 +27,11 @@ struct TruthComparison {
   double median_sigma_calibration_mm = kNotMeasured;  // NaN: unknown
   // Share of the points whose error along z is within one and two claimed sigmas (both parts).
   double within_one_sigma = kNotMeasured, within_two_sigma = kNotMeasured;
+  // Of a rolling tyre's displacement from its undeformed wheel: error towards the axis, around it
+  // and along it, root mean square, and the median of its size. What the wheel angle is off lies in
+  // the part around the axis alone.
+  Eigen::Vector3d rms_displacement_mm = Eigen::Vector3d::Constant(kNotMeasured);
+  Eigen::Vector3d median_displacement_error_mm = Eigen::Vector3d::Constant(kNotMeasured);
   // Ground plane: measured less true tilt about the rig's x and y axes, and what was claimed. NaN
   // without a plane.
   Eigen::Vector2d tilt_error_rad = Eigen::Vector2d::Constant(kNotMeasured);

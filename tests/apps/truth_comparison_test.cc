@@ -58,6 +58,22 @@ TEST(TruthComparison, TakesOutTheRigidMotionForTheShapeOnly) {
   EXPECT_NEAR(comparison.rms_shape_mm, 0.01, 0.002);
 }
 
+TEST(TruthComparison, FindsTheErrorOfTheDisplacementAboutTheWheel) {
+  Measured measured(1e-9, 0.01);
+  const TruthComparison exact = measured.Compare();
+  EXPECT_LT(exact.rms_displacement_mm.norm(), 1e-4);
+  const auto axis = measured.frame.wheel.axis.cast<float>();
+  for (Eigen::Vector3f& u : measured.frame.displacement.value_mm.values()) {
+    u += 0.03F * axis + Eigen::Vector3f(0, 0, 0.1F);  // upwards: towards the axis at the bottom
+  }
+  const TruthComparison off = measured.Compare();
+  EXPECT_NEAR(off.rms_displacement_mm.norm(), std::hypot(0.03, 0.1), 1e-3);
+  EXPECT_NEAR(off.rms_displacement_mm.z(), 0.03, 1e-3);
+  EXPECT_GT(off.rms_displacement_mm.x(), 0.09);
+  EXPECT_GT(off.median_displacement_error_mm.x(), 0.09);
+  EXPECT_LT(off.rms_displacement_mm.y(), 0.05);
+}
+
 // Twenty wrong points in thousands: the root mean square tells of them, the rest is as before.
 TEST(TruthComparison, FewWrongPointsDoNotTurnAllOthers) {
   Measured measured(0.01, 0.01);
