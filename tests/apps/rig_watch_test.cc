@@ -4,10 +4,10 @@
 
 #include <cmath>
 #include <cstdint>
-#include <random>
 #include <vector>
 
 #include "tests/support/rendered_surface.h"
+#include "tests/support/seen_matches.h"
 
 namespace plumbline {
 namespace {
@@ -24,24 +24,9 @@ StereoRig Bumped(StereoRig rig) {
   return rig;
 }
 
-// Matches of a curved surface all over the view, whose noise is `times` what they claim.
+// Matches whose noise is `times` what they claim.
 std::vector<StereoObservation> See(const StereoRig& rig, double times, std::uint32_t seed) {
-  std::mt19937 random(seed);
-  std::normal_distribution<double> noise(0, times * kClaimed_px);
-  std::vector<StereoObservation> seen;
-  for (int row = 20; row < 500; row += 24) {
-    for (int column = 20; column < 630; column += 24) {
-      const Eigen::Vector3d ray = rig.left.Unproject(Eigen::Vector2d(column, row));
-      const Eigen::Vector3d point = ray / ray.z() * (400 + 0.0003 * std::pow(column - 320, 2));
-      StereoObservation match;
-      match.left = Eigen::Vector2d(column + noise(random), row + noise(random));
-      match.right = rig.right.Project(rig.right_from_left * point) +
-                    Eigen::Vector2d(noise(random), noise(random));
-      match.cov_px2 = Eigen::Matrix4d::Identity() * kClaimed_px * kClaimed_px;
-      seen.push_back(match);
-    }
-  }
-  return seen;
+  return testing::SeeCurvedSurface(rig, kClaimed_px, times * kClaimed_px, seed);
 }
 
 // Chi-squared has a mean of 5 whatever the matches claim, the reference pair's and the later ones'.

@@ -2,12 +2,11 @@
 
 #include <gtest/gtest.h>
 
-#include <cmath>
 #include <cstdint>
-#include <random>
 #include <vector>
 
 #include "tests/support/rendered_surface.h"
+#include "tests/support/seen_matches.h"
 
 namespace plumbline {
 namespace {
@@ -22,24 +21,8 @@ StereoRig Turned(StereoRig rig, const Eigen::Vector3d& turn_rad) {
   return rig;
 }
 
-// A curved surface all over the view.
 std::vector<StereoObservation> See(const StereoRig& rig, std::uint32_t seed) {
-  std::mt19937 random(seed);
-  std::normal_distribution<double> noise(0, kNoise_px);
-  std::vector<StereoObservation> seen;
-  for (int row = 20; row < 500; row += 24) {
-    for (int column = 20; column < 630; column += 24) {
-      const Eigen::Vector3d ray = rig.left.Unproject(Eigen::Vector2d(column, row));
-      const Eigen::Vector3d point = ray / ray.z() * (400 + 0.0004 * std::pow(column - 320, 2));
-      StereoObservation match;
-      match.left = Eigen::Vector2d(column + noise(random), row + noise(random));
-      match.right = rig.right.Project(rig.right_from_left * point) +
-                    Eigen::Vector2d(noise(random), noise(random));
-      match.cov_px2 = Eigen::Matrix4d::Identity() * kNoise_px * kNoise_px;
-      seen.push_back(match);
-    }
-  }
-  return seen;
+  return testing::SeeCurvedSurface(rig, kNoise_px, kNoise_px, seed);
 }
 
 TEST(CameraMotion, IsFoundWithErrorsThatCoverIt) {
