@@ -49,7 +49,8 @@ struct FramePatch {
   // ContactPatch::CovarianceOf tells.
   using Results = Eigen::Matrix<double, ContactPatch::kResults, 1>;
   Results sigma_random = Results::Zero(), sigma_calibration = Results::Zero();
-  // The part of sigma_random that is the law's, and so common to all frames.
+  // The part of sigma_random that is the law's, and so common to all frames: from noise, and what
+  // it leaves out, told by fitting it up to half the gap (where it is not given).
   Results sigma_law = Results::Zero();
   // Within the threshold, whatever `by` says.
   std::optional<ContactPatch> within_threshold;

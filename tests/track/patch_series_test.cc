@@ -4,6 +4,7 @@
 
 #include <Eigen/LU>
 #include <cmath>
+#include <cstdio>
 
 #include "calib/error.h"
 #include "io/virtual_rig/tyre_patch.h"
@@ -62,6 +63,31 @@ TEST(PatchSeries, FindsWhatTouchesTheGround) {
   }
 }
 
+TEST(PatchSeries, SigmasCountWhatTheLawLeavesOut) {
+  for (const char* name : {"tyre-flat", "tyre-braking", "tyre-cornering"}) {
+    const VirtualRig rig(TyreScenario(name, {0.8, -1.5, 0.4}));
+    const TyreFrame truth = TrueTyreFrame(rig, 0, 8);
+    const auto patch = FindPatch(*rig.tyre(), 0);
+    const PatchSeries series =
+        FindPatches(Draws(truth, 8, 0.017, 2), truth.axis, Options(0.017, 2));
+    FramePatch::Results off = FramePatch::Results::Zero(), claimed = off;
+    for (const FramePatch& record : series.frames) {
+      ASSERT_EQ(record.by, FramePatch::By::kLiftOff) << record.problem;
+      off[0] += (record.patch.area_mm2 - patch->area_mm2) / 8;
+      off[1] += (record.patch.length_mm - patch->length_mm) / 8;
+      off[2] += (record.patch.width_mm - patch->width_mm) / 8;
+      claimed += record.sigma_random / 8;
+    }
+    std::printf(
+        "%s: area off by %.0f mm2 (sigma %.0f), length %.2f mm (%.2f), width %.2f mm (%.2f)\n",
+        name, off[0], claimed[0], off[1], claimed[1], off[2], claimed[2]);
+    for (int k = 0; k < 3; ++k) {
+      EXPECT_LT(std::abs(off[k]), 2 * claimed[k]) << name << " " << k;
+      EXPECT_GT(std::abs(off[k]), 0.2 * claimed[k]) << name << " " << k;
+    }
+  }
+}
+
 TEST(PatchSeries, SigmasAreThoseOfSampling) {
   const VirtualRig rig(TyreScenario("tyre-flat", {0.8, -1.5, 0.4}));
   const TyreFrame truth = TrueTyreFrame(rig, 0, 12);
@@ -102,14 +128,17 @@ TEST(PatchSeries, TheGroundsErrorIsInIt) {
   const VirtualRig rig(TyreScenario("tyre-flat", {0.8, -1.5, 0.4}));
   const TyreFrame truth = TrueTyreFrame(rig, 0, 12);
   auto frames = Draws(truth, 3, 0.02, 1);
-  const PatchSeries exact = FindPatches(frames, truth.axis, Options(0.02, 1));
+  PatchSeriesOptions options = Options(0.02, 1);
+  options.law =
+      FindPatches(frames, truth.axis, options).law;  // what that leaves out is not counted
+  const PatchSeries exact = FindPatches(frames, truth.axis, options);
   // 0.1 mm of height, as noise in one and as a calibration mode in another frame.
   frames[1].rotation.cov_random = Eigen::Vector3d(1e-12, 1e-12, 0.01).asDiagonal();
   frames[2].along_modes_mm.emplace_back(truth.point_mm.size(), Eigen::Vector3f::Zero());
   Rigid3 higher = truth.ground_from_rig;
   higher.translation_mm.z() += 0.1;
   frames[2].rotation.ground.along_modes = {higher};
-  const PatchSeries unsure = FindPatches(frames, truth.axis, Options(0.02, 1));
+  const PatchSeries unsure = FindPatches(frames, truth.axis, options);
   EXPECT_GT(unsure.frames[1].sigma_random[0], 2 * exact.frames[1].sigma_random[0]);
   EXPECT_NEAR(unsure.frames[2].sigma_calibration[0],
               std::sqrt(std::pow(unsure.frames[1].sigma_random[0], 2) -
