@@ -20,12 +20,17 @@ struct Pairs {
   std::int64_t unfounded = 0;
 };
 
-// Towards the wheel's axis, around and along it.
-Eigen::Vector3d AboutTheWheel(const Eigen::Vector3d& error, const Eigen::Vector3d& at,
+// Of a displacement: towards the wheel's axis, around and along it. The first is how much nearer
+// the point has come, which hangs on no wheel angle.
+Eigen::Vector3d AboutTheWheel(const Eigen::Vector3d& displacement, const Eigen::Vector3d& at,
                               const WheelRecord& wheel) {
-  const Eigen::Vector3d from = at - wheel.centre_mm;
-  const Eigen::Vector3d inwards = (wheel.axis * wheel.axis.dot(from) - from).normalized();
-  return {error.dot(inwards), error.dot(inwards.cross(wheel.axis)), error.dot(wheel.axis)};
+  const auto from_axis = [&](const Eigen::Vector3d& place) -> Eigen::Vector3d {
+    const Eigen::Vector3d from = place - wheel.centre_mm;
+    return from - wheel.axis * wheel.axis.dot(from);
+  };
+  const Eigen::Vector3d here = from_axis(at);
+  return {from_axis(at - displacement).norm() - here.norm(),
+          displacement.dot(wheel.axis.cross(here.normalized())), displacement.dot(wheel.axis)};
 }
 
 Pairs PairUp(const SeriesFrame& frame, const Image<Eigen::Vector2f>& grid_px,
@@ -62,8 +67,9 @@ Pairs PairUp(const SeriesFrame& frame, const Image<Eigen::Vector2f>& grid_px,
     pairs.sigma_calibration.emplace_back(surface.sigma_calibration_mm.data()[i].cast<double>());
     if (!on_wheel || !frame.displacement.value_mm.data()[i].allFinite()) continue;
     pairs.displacement_error.push_back(
-        AboutTheWheel(frame.displacement.value_mm.data()[i].cast<double>() - displacement[i],
-                      *found[i], frame.wheel));
+        AboutTheWheel(frame.displacement.value_mm.data()[i].cast<double>(), pairs.measured.back(),
+                      frame.wheel) -
+        AboutTheWheel(displacement[i], *found[i], frame.wheel));
   }
   return pairs;
 }
