@@ -20,12 +20,6 @@ double SecondsSince(std::chrono::steady_clock::time_point begin) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
 }
 
-// The direction of rolling, x of the wheel frame, as an option of the strain.
-std::string AlongTheWheel(const WheelAxis& axis) {
-  const Eigen::Vector3d x = axis.rotation.col(0);
-  return fmt::format("{:.6f},{:.6f},{:.6f}", x.x(), x.y(), x.z());
-}
-
 }  // namespace
 
 void RollingRunOptions::Check() const {
@@ -62,7 +56,9 @@ struct RollingRun::Impl {
   std::unique_ptr<RollingSurvey> Surveyor() {
     options.Check();
     if (options.evaluation.strain_axes == "material") {
-      options.evaluation.strain_axes = AlongTheWheel(reference.axis);
+      // Material under the axis goes towards x, as the wheel rolls.
+      options.evaluation.strain_options.x_around = {reference.axis.origin_in_rig_mm(),
+                                                    -reference.axis.direction_in_rig()};
     }
     options.evaluation.known_frame = internal::FrameOfWheel(reference);
     return std::make_unique<RollingSurvey>(reference, options.survey, wanted);

@@ -23,7 +23,7 @@ struct RollingRunOptions {
   StereoSequenceOptions sequence;  // of the second pass
   std::optional<PixelRegion> roi;  // points whose subset fits into it; none: into the image
   Image<std::uint8_t> mask;        // of the left image; empty: all of it
-  // known_frame is set from the wheel; strain_axes "material" means the direction of rolling.
+  // known_frame is set from the wheel; strain_axes "material" means around the wheel.
   SurfaceEvaluationOptions evaluation;
   int views_held = 3;  // reference images that are prepared at a time for the second pass
 

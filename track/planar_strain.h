@@ -16,7 +16,7 @@ enum class GaugeWeights : std::uint8_t { kEqual = 0, kInverseVariance };
 struct PlanarStrainOptions {
   StrainMeasure measure = StrainMeasure::kGreenLagrange;
   int window_points = 15;  // side of the gauge, odd; 1: the gradient of the subset itself
-  int order = 1;           // of the polynomial, 1 or 2
+  int order = 1;           // of the polynomial, 1 to 3
   GaugeWeights weights = GaugeWeights::kEqual;
   // A gauge that is not full, at edges and holes, gives a value only if this share of its points is
   // there, and of each quarter around its centre at least that one: no one-sided extrapolation.

@@ -109,6 +109,11 @@ void SurfaceStrainOptions::Check() const {
   internal::CheckGauge(window_points, 3, order, min_share, min_quarter_share);
   if (x_direction && !(x_direction->allFinite() && x_direction->norm() > 0))
     throw UsageError("the x direction of a surface's strain must be a finite vector, not zero");
+  if (x_around && !(x_around->point_mm.allFinite() && x_around->direction.allFinite() &&
+                    x_around->direction.norm() > 0))
+    throw UsageError("the line that a surface's strain goes around must be finite and directed");
+  if (x_direction && x_around)
+    throw UsageError("a surface's strain has one x axis: along a direction or around a line");
 }
 
 SurfaceStrain::SurfaceStrain(ImageSize size)
@@ -166,6 +171,13 @@ struct SurfaceGauges::State {
       if (usable) weight.data()[i] = internal::WeightOf(cov, options.weights);
     }
     return weight;
+  }
+
+  // What e1 of a gauge follows; nothing: growing columns of the grid.
+  std::optional<Eigen::Vector3d> XDirection(int row, int column) const {
+    if (!options.x_around) return options.x_direction;
+    const LineInSpace& line = *options.x_around;
+    return line.direction.cross(reference.point_mm(row, column) - line.point_mm);
   }
 
   // Calls visit(row, column, tangents) at the gauges of the reference.
@@ -226,7 +238,7 @@ void SurfaceGauges::State::SetPoint(const internal::GaugeFit& fit, const TileGra
                                     const TileGradients& after, std::size_t cell, int row,
                                     int column, const SurfaceState& now, SurfaceStrain& out) const {
   const internal::TangentDeformation deformation =
-      internal::DeformationOf(before.tangents[cell], after.tangents[cell], options.x_direction);
+      internal::DeformationOf(before.tangents[cell], after.tangents[cell], XDirection(row, column));
   const GradientStrain measured =
       StrainOf(deformation.F - Eigen::Matrix2d::Identity(), options.measure);
   const Eigen::Matrix<double, 3, 6> by_reference = measured.d_strain * deformation.d_reference;
@@ -345,8 +357,8 @@ SurfaceStrain SurfaceGauges::Strain(const SurfaceState& now, const Image<Status>
 Image<Eigen::Matrix3f> SurfaceGauges::axes() const {
   Image<Eigen::Matrix3f> out(state_->data.weight.size(), Eigen::Matrix3f::Constant(kNan));
   state_->ForEachGauge([&](int row, int column, const Tangents& tangents) {
-    out(row, column) =
-        internal::DeformationOf(tangents, tangents, state_->options.x_direction).axes.cast<float>();
+    out(row, column) = internal::DeformationOf(tangents, tangents, state_->XDirection(row, column))
+                           .axes.cast<float>();
   });
   return out;
 }

@@ -15,10 +15,16 @@
 
 namespace plumbline {
 
+// A line in the frame of the points; the direction need not have length one.
+struct LineInSpace {
+  Eigen::Vector3d point_mm = Eigen::Vector3d::Zero();
+  Eigen::Vector3d direction = Eigen::Vector3d::UnitY();
+};
+
 struct SurfaceStrainOptions {
   StrainMeasure measure = StrainMeasure::kGreenLagrange;
   int window_points = 9;  // side of the gauge, odd, 3 or more
-  int order = 1;          // of the polynomial, 1 or 2
+  int order = 1;          // of the polynomial, 1 to 3
   // Of the gauge's points; of the inverse of their mean variance in the reference.
   GaugeWeights weights = GaugeWeights::kEqual;
   // As of PlanarStrainOptions: no one-sided extrapolation at edges and holes.
@@ -27,6 +33,9 @@ struct SurfaceStrainOptions {
   // e1, the local x axis: the projection onto the tangent plane of the reference surface of this
   // direction (in the frame of the points), or of growing columns of the grid.
   std::optional<Eigen::Vector3d> x_direction;
+  // Or: of the direction in which the point goes when it turns about this line, as on a wheel. Not
+  // both. An error of the line turns all axes alike and is not in the sigmas.
+  std::optional<LineInSpace> x_around;
 
   // Throws UsageError naming the broken constraint.
   void Check() const;
@@ -74,9 +83,9 @@ struct SurfaceStrain {
 // surface is (kSmall: without turning about the normal).
 //
 // Axes:  the normal n points towards the camera that sees columns to the right and rows downwards;
-//        e1 see x_direction; e2 = n x e1. Along columns, e2 points against growing rows, so that xy
-//        has the opposite sign of PlanarStrain's. (f1, f2) are (e1, e2) turned by the smallest
-//        rotation that takes n to the deformed normal.
+//        e1 see x_direction and x_around; e2 = n x e1. Along columns, e2 points against growing
+//        rows, so that xy has the opposite sign of PlanarStrain's. (f1, f2) are (e1, e2) turned by
+//        the smallest rotation that takes n to the deformed normal.
 // Random covariance:  with Gamma_m (2x2) the error of the gradient of match m over the gauge and D
 //        = d_left, d_right at its centre,
 //          dA = sum D Gamma (reference),  da = sum D Gamma (now),
@@ -105,7 +114,7 @@ class SurfaceGauges {
   // Status:  that of the point where it is not kOk; kExtrapolated where the gauge is not full
   //          enough (see the options) or its points do not fix the polynomial; kFailedVerification
   //          where the reference has no point, the point is not finite, the gauge has no tangent
-  //          plane or no e1 (x_direction normal to it), or the covariance is not finite.
+  //          plane or no e1 (its direction normal to it), or the covariance is not finite.
   // Throws:  InputError where images differ in size from the grid, or the modes in number from the
   //          reference's (none on either side is allowed: sigma_calibration is then NaN).
   // Thread-safe; the result does not depend on the number of threads. Where no point of the

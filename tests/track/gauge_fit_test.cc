@@ -48,7 +48,7 @@ TEST(FitsWithoutMissing, AreThoseOfAFitToThePointsThatAreLeft) {
   }
   Image<double> left = field.weight;
   for (std::size_t i = 0; i < left.pixel_count(); ++i) left.data()[i] *= present.data()[i];
-  for (const int order : {1, 2}) {
+  for (const int order : {1, 2, 3}) {
     const GaugeData all = field.Data(field.weight, order), rest = field.Data(left, order);
     int solved = 0, lost = 0, untouched = 0;
     for (const GridTile& tile : TilesOf(kGrid)) {

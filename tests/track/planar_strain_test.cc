@@ -76,7 +76,7 @@ TEST(PlanarStrain, IsExactForStretchShearAndRotation) {
     });
     for (const StrainMeasure measure : {StrainMeasure::kGreenLagrange, StrainMeasure::kSmall,
                                         StrainMeasure::kHencky, StrainMeasure::kAlmansi}) {
-      for (const int order : {1, 2}) {
+      for (const int order : {1, 2, 3}) {
         PlanarStrainOptions options = Window(7, order);
         options.measure = measure;
         const PlanarStrain strain = ComputePlanarStrain(field, Overlap(field), options);
@@ -115,10 +115,30 @@ TEST(PlanarStrain, OfOrderTwoFollowsAQuadraticFieldThroughHolesAndOrderOneDoesNo
   EXPECT_GT((linear.strain(10, 10) - expected).cwiseAbs().maxCoeff(), 1e-5F);
 }
 
+TEST(PlanarStrain, OfOrderThreeFollowsACubicFieldAndOrderTwoDoesNot) {
+  PlanarField field = FieldOf({21, 21}, 5, [](double x, double y) {
+    return Eigen::Vector2d(2e-6 * x * x * x - 3e-6 * x * y * y,
+                           1e-6 * x * x * y + 4e-6 * y * y * y);
+  });
+  for (const auto& [r, c] : {std::pair{9, 9}, {10, 12}, {8, 13}}) Remove(field, r, c);
+  PlanarStrainOptions options = Window(9, 3);
+  options.measure = StrainMeasure::kSmall;
+  const PlanarStrain exact = ComputePlanarStrain(field, Overlap(field), options);
+  options.order = 2;
+  const PlanarStrain quadratic = ComputePlanarStrain(field, Overlap(field), options);
+  const Eigen::Vector2d at = field.PixelOf(10, 10);
+  const double x = at.x(), y = at.y();
+  const Eigen::Vector3d expected(6e-6 * x * x - 3e-6 * y * y, 1e-6 * x * x + 12e-6 * y * y,
+                                 0.5 * (-6e-6 * x * y + 2e-6 * x * y));
+  EXPECT_LT((exact.strain(10, 10).cast<double>() - expected).cwiseAbs().maxCoeff(), 1e-7);
+  EXPECT_GT((quadratic.strain(10, 10).cast<double>() - expected).cwiseAbs().maxCoeff(), 1e-4);
+}
+
 // The covariance of strain written down pair by pair, for weights w.
 Eigen::Matrix3d DenseCovariance(const PlanarField& field, const NeighbourCorrelation& correlation,
                                 const PlanarStrainOptions& options, int row, int column) {
-  const int half = options.window_points / 2, terms = options.order == 1 ? 3 : 6;
+  const int half = options.window_points / 2, order = options.order;
+  const int terms = (order + 1) * (order + 2) / 2;
   struct Point {
     int row, column;
     double weight;
@@ -131,8 +151,8 @@ Eigen::Matrix3d DenseCovariance(const PlanarField& field, const NeighbourCorrela
          ++c) {
       if (field.status(r, c) != Status::kOk) continue;
       const double x = field.step_px * (c - column), y = field.step_px * (r - row);
-      Eigen::VectorXd P(6);
-      P << 1, x, y, x * x, x * y, y * y;
+      Eigen::VectorXd P(10);
+      P << 1, x, y, x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y;
       const Eigen::Vector3f& cov = field.cov_displacement_px2(r, c);
       const double weight =
           options.weights == GaugeWeights::kEqual ? 1 : 1 / static_cast<double>(cov[0] + cov[2]);
@@ -186,7 +206,7 @@ TEST(PlanarStrain, CovarianceIsTheSumOverAllPairs) {
   const SubsetGrid subsets{field.size(), field.first_px, field.step_px, field.subset_px, 1, false};
   const NeighbourCorrelation correlation =
       NeighbourCorrelation::OfTexture(subsets, speckle.Texture());
-  for (const int order : {1, 2}) {
+  for (const int order : {1, 2, 3}) {
     for (const GaugeWeights weights : {GaugeWeights::kEqual, GaugeWeights::kInverseVariance}) {
       PlanarStrainOptions options = Window(7, order);
       options.weights = weights;
@@ -310,7 +330,8 @@ TEST(PlanarStrain, RefusesWhatItCannotUse) {
   const NeighbourCorrelation overlap = Overlap(field);
   for (const int points : {0, 4, -1})
     EXPECT_THROW((void)ComputePlanarStrain(field, overlap, Window(points)), UsageError);
-  EXPECT_THROW((void)ComputePlanarStrain(field, overlap, Window(5, 3)), UsageError);
+  EXPECT_THROW((void)ComputePlanarStrain(field, overlap, Window(5, 4)), UsageError);
+  EXPECT_THROW((void)ComputePlanarStrain(field, overlap, Window(3, 3)), UsageError);
   PlanarStrainOptions options;
   options.min_share = 0;
   EXPECT_THROW((void)ComputePlanarStrain(field, overlap, options), UsageError);

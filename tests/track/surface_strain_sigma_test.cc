@@ -140,13 +140,14 @@ TEST_P(SigmaOfSurfaceStrain, HoldsOverDrawsOfTheMatches) {
   EXPECT_LT(inside / count, 0.97);
 }
 
-INSTANTIATE_TEST_SUITE_P(Gauges, SigmaOfSurfaceStrain,
-                         ::testing::Values(NoiseCase{7, 1, StrainMeasure::kGreenLagrange, false,
-                                                     false},
-                                           NoiseCase{7, 1, StrainMeasure::kAlmansi, true, false},
-                                           NoiseCase{5, 2, StrainMeasure::kHencky, true, true},
-                                           NoiseCase{7, 1, StrainMeasure::kGreenLagrange, true,
-                                                     false, GaugeWeights::kInverseVariance}));
+INSTANTIATE_TEST_SUITE_P(
+    Gauges, SigmaOfSurfaceStrain,
+    ::testing::Values(NoiseCase{7, 1, StrainMeasure::kGreenLagrange, false, false},
+                      NoiseCase{7, 1, StrainMeasure::kAlmansi, true, false},
+                      NoiseCase{5, 2, StrainMeasure::kHencky, true, true},
+                      NoiseCase{7, 3, StrainMeasure::kGreenLagrange, true, true},
+                      NoiseCase{7, 1, StrainMeasure::kGreenLagrange, true, false,
+                                GaugeWeights::kInverseVariance}));
 
 TEST(SigmaOfSurfaceStrain, IsSmallerWhereSurePointsCountMore) {
   SurfaceState reference = InstantOf(kGrid, OnSaddle), now = InstantOf(kGrid, OnLoadedSaddle);

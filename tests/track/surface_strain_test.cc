@@ -44,7 +44,7 @@ TEST(SurfaceStrain, OfARigidMotionIsZeroHoweverCurvedTheSurface) {
   const Surface moved = [](double s, double t) -> Eigen::Vector3d {
     return kMotion * OnSaddle(s, t);
   };
-  for (const int order : {1, 2}) {
+  for (const int order : {1, 2, 3}) {
     for (const StrainMeasure measure : kMeasures) {
       if (measure == StrainMeasure::kSmall) continue;  // it has no large rotations
       SurfaceStrainOptions options;
@@ -168,6 +168,29 @@ TEST(SurfaceStrain, TurnsWithTheXDirectionAsATensor) {
               1e-6 * along.sigma_principal_random(10, 10)[0]);
 }
 
+// Turned about the cylinder's axis, each point has a direction of its own.
+TEST(SurfaceStrain, HasItsXAxisAroundALine) {
+  const SurfaceState reference = InstantOf(kGrid, OnCylinder);
+  const SurfaceState now = InstantOf(kGrid, [](double arc, double along) {
+    return OnCylinder(1.05 * arc + 0.02 * along, 0.97 * along);
+  });
+  // Tilted, so that columns do not go around it.
+  const Eigen::Vector3d direction(0.1, 1, 0.2), point(3, -4, 400);
+  SurfaceStrainOptions options;
+  options.x_around = LineInSpace{point, direction};
+  const SurfaceGauges gauges = GaugesOf(reference, options);
+  const SurfaceStrain strain = gauges.Strain(now, AllOk(kGrid));
+  for (const auto& [r, c] : {std::pair{10, 12}, {6, 5}, {15, 20}}) {
+    const Eigen::Vector3d around = direction.cross(reference.point_mm(r, c) - point);
+    options.x_around.reset();
+    options.x_direction = around;
+    const SurfaceGauges alike = GaugesOf(reference, options);
+    EXPECT_LT((gauges.axes()(r, c) - alike.axes()(r, c)).norm(), 1e-6F);
+    EXPECT_LT((strain.strain(r, c) - alike.Strain(now, AllOk(kGrid)).strain(r, c)).norm(), 1e-7F);
+    EXPECT_GT(gauges.axes()(r, c).col(0).cast<double>().dot(around.normalized()), 0.99);
+  }
+}
+
 TEST(SurfaceStrain, DoesNotExtrapolateAtEdgesAndHoles) {
   SurfaceState reference = InstantOf(kGrid, OnCylinder), now = InstantOf(kGrid, OnCylinder);
   Image<Status> status = AllOk(kGrid);
@@ -210,6 +233,7 @@ TEST(SurfaceStrain, OfAFrameWithMissingPointsIsThatOfAReferenceWithoutThem) {
   }
   for (const auto& [order, weights] : {std::pair{1, GaugeWeights::kEqual},
                                        {2, GaugeWeights::kEqual},
+                                       {3, GaugeWeights::kEqual},
                                        {1, GaugeWeights::kInverseVariance}}) {
     SurfaceStrainOptions options;
     options.order = order;
@@ -275,6 +299,12 @@ TEST(SurfaceStrain, RefusesWhatItCannotUse) {
   }
   SurfaceStrainOptions options;
   options.x_direction = Eigen::Vector3d::Zero();
+  EXPECT_THROW((void)GaugesOf(instant, options), UsageError);
+  options.x_direction = Eigen::Vector3d::UnitX();
+  options.x_around = LineInSpace{};
+  EXPECT_THROW((void)GaugesOf(instant, options), UsageError);
+  options.x_direction.reset();
+  options.x_around->direction.setZero();
   EXPECT_THROW((void)GaugesOf(instant, options), UsageError);
   SurfaceState bad = instant;
   bad.share_left = Image<float>({3, 3});

@@ -20,6 +20,28 @@ constexpr int kTileRows = 32, kTileColumns = 64;
 
 enum Block : std::uint8_t { kUu, kUv, kVv };
 
+// Of the terms of a polynomial, in the order of MomentIndex().
+constexpr std::array<int, 10> kPowersOfX = {0, 1, 0, 2, 1, 0, 3, 2, 1, 0},
+                              kPowersOfY = {0, 0, 1, 0, 1, 2, 0, 1, 2, 3};
+int PowerOfX(int term) { return kPowersOfX[static_cast<std::size_t>(term)]; }
+int PowerOfY(int term) { return kPowersOfY[static_cast<std::size_t>(term)]; }
+
+// P(x + dx, y + dy) = shift P(x, y) for the terms P.
+template <int kTerms>
+Eigen::Matrix<double, kTerms, kTerms> ShiftOf(double dx, double dy) {
+  constexpr double kChoose[4][4] = {{1, 0, 0, 0}, {1, 1, 0, 0}, {1, 2, 1, 0}, {1, 3, 3, 1}};
+  Eigen::Matrix<double, kTerms, kTerms> shift = Eigen::Matrix<double, kTerms, kTerms>::Zero();
+  for (int i = 0; i < kTerms; ++i) {
+    const int a = PowerOfX(i), b = PowerOfY(i);
+    for (int j = 0; j < kTerms; ++j) {
+      const int c = PowerOfX(j), d = PowerOfY(j);
+      if (c > a || d > b) continue;
+      shift(i, j) = kChoose[a][c] * kChoose[b][d] * std::pow(dx, a - c) * std::pow(dy, b - d);
+    }
+  }
+  return shift;
+}
+
 // w_p w_q cov(d_p, d_q) of p = (r, c) and q = p + (dr, dc), by uu, uv, vu, vv; zero where one of
 // them is not there.
 std::array<double, 4> PairCovariance(const GaugeData& data, int r, int c, int dr, int dc) {
@@ -95,7 +117,7 @@ class TileFit {
 
  private:
   using Matrix = typename GaugeSums<kTerms>::Matrix;
-  static constexpr int kOrder = kTerms == 3 ? 1 : 2;
+  static constexpr int kOrder = kTerms == 3 ? 1 : kTerms == 6 ? 2 : 3;
 
   void Count();
   void SumNormalEquations();
@@ -142,12 +164,10 @@ void TileFit<kTerms>::Count() {
 // sum v P P' from the moments of v.
 template <int kTerms>
 typename TileFit<kTerms>::Matrix TileFit<kTerms>::Outer(std::size_t cell) const {
-  constexpr std::array<int, 6> kX = {0, 1, 0, 2, 1, 0}, kY = {0, 0, 1, 0, 1, 2};
   Matrix out;
-  for (std::size_t i = 0; i < kTerms; ++i) {
-    for (std::size_t j = 0; j < kTerms; ++j)
-      out(static_cast<Eigen::Index>(i), static_cast<Eigen::Index>(j)) =
-          moments_(MomentIndex(kX[i] + kX[j], kY[i] + kY[j]), cell);
+  for (int i = 0; i < kTerms; ++i) {
+    for (int j = 0; j < kTerms; ++j)
+      out(i, j) = moments_(MomentIndex(PowerOfX(i) + PowerOfX(j), PowerOfY(i) + PowerOfY(j)), cell);
   }
   return out;
 }
@@ -170,20 +190,13 @@ void TileFit<kTerms>::AddPairs(int dr, int dc) {
   // Both points inside the window.
   const OffsetRange x{std::max(-h, -h - dc), std::min(h, h - dc)}, y{-h, h - dr};
   // P(x_q) = shift P(x_p)
-  const double sx = static_cast<double>(dc) / h, sy = static_cast<double>(dr) / h;
-  Eigen::Matrix<double, 6, 6> shift;
-  shift << 1, 0, 0, 0, 0, 0,        //
-      sx, 1, 0, 0, 0, 0,            //
-      sy, 0, 1, 0, 0, 0,            //
-      sx * sx, 2 * sx, 0, 1, 0, 0,  //
-      sx * sy, sy, sx, 0, 1, 0,     //
-      sy * sy, 0, 2 * sy, 0, 0, 1;
+  const Matrix shift = ShiftOf<kTerms>(static_cast<double>(dc) / h, static_cast<double>(dr) / h);
   Fill(
       tile_, data_.weight.size(), [&](int r, int c) { return PairCovariance(data_, r, c, dr, dc); },
       covariances_);
   const auto add = [&](int component, Block block, bool direct, bool mirrored) {
     moments_.Compute(covariances_[static_cast<std::size_t>(component)], x, y, 2 * kOrder);
-    AddBlock(block, shift.topLeftCorner<kTerms, kTerms>(), direct, mirrored);
+    AddBlock(block, shift, direct, mirrored);
   };
   add(0, kUu, true, !same);
   add(1, kUv, true, false);
@@ -264,8 +277,8 @@ class MissingPoints {
 
   Terms TermsAt(int dx, int dy) const {
     const double x = static_cast<double>(dx) / data_.half, y = static_cast<double>(dy) / data_.half;
-    Eigen::Matrix<double, 6, 1> P;
-    P << 1, x, y, x * x, x * y, y * y;
+    Eigen::Matrix<double, 10, 1> P;
+    P << 1, x, y, x * x, x * y, y * y, x * x * x, x * x * y, x * y * y, y * y * y;
     return P.head<kTerms>();
   }
 
@@ -358,8 +371,10 @@ void CheckGauge(int window_points, int min_window_points, int order, double min_
     throw UsageError(fmt::format(
         "the window of a strain gauge must be odd and between {} and 255 points, not {}",
         min_window_points, window_points));
-  if (order != 1 && order != 2)
-    throw UsageError(fmt::format("the order of a strain gauge must be 1 or 2, not {}", order));
+  if (order < 1 || order > 3)
+    throw UsageError(fmt::format("the order of a strain gauge must be 1, 2 or 3, not {}", order));
+  if (order == 3 && window_points == 3)
+    throw UsageError("a strain gauge of order 3 needs a window of 5 points or more, not 3");
   if (!(min_share > 0 && min_share <= 1))
     throw UsageError(fmt::format("min_share must be above 0 and at most 1, not {}", min_share));
   if (!(min_quarter_share >= 0 && min_quarter_share <= 1))
@@ -368,8 +383,9 @@ void CheckGauge(int window_points, int min_window_points, int order, double min_
 }
 
 TileGauges FitGauges(const GaugeData& data, const GridTile& tile, int min_points) {
-  return data.order == 1 ? TileFit<3>(data, tile, min_points).Run()
-                         : TileFit<6>(data, tile, min_points).Run();
+  return data.order == 1   ? TileFit<3>(data, tile, min_points).Run()
+         : data.order == 2 ? TileFit<6>(data, tile, min_points).Run()
+                           : TileFit<10>(data, tile, min_points).Run();
 }
 
 std::vector<GaugeFit> FitsWithoutMissing(const GaugeData& data, const TileGauges& gauges,

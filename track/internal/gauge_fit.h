@@ -31,9 +31,9 @@ struct GaugeFit {
   std::array<int, 4> quarter_points{};  // the window without its centre, in four turned rectangles
   bool solved = false;                  // the points fix the polynomial
   // NaN if not solved. Of a field over the gauge, the gradient at its centre (per px) is
-  // filter' sum w P value, P = (1, x, y, x^2, x y, y^2) in units of the half window, up to the
-  // order; the covariance is that of (du/dx, du/dy, dv/dx, dv/dy).
-  Eigen::Matrix<double, 6, 2> filter;
+  // filter' sum w P value, P = (1, x, y, x^2, x y, y^2, x^3, ...) in units of the half window, up
+  // to the order; the covariance is that of (du/dx, du/dy, dv/dx, dv/dy).
+  Eigen::Matrix<double, 10, 2> filter;
   Eigen::Matrix4d cov_gradient;
 };
 
@@ -55,7 +55,7 @@ void CheckGauge(int window_points, int min_window_points, int order, double min_
                 double min_quarter_share);
 
 // What the fit of a gauge follows from, with a polynomial of kTerms terms (3: linear, 6:
-// quadratic).
+// quadratic, 10: cubic).
 template <int kTerms>
 struct GaugeSums {
   using Matrix = Eigen::Matrix<double, kTerms, kTerms>;
@@ -67,7 +67,8 @@ struct GaugeSums {
 struct TileGauges {
   GridTile tile;
   std::vector<GaugeFit> fits;  // row by row
-  std::variant<std::vector<GaugeSums<3>>, std::vector<GaugeSums<6>>> sums;
+  std::variant<std::vector<GaugeSums<3>>, std::vector<GaugeSums<6>>, std::vector<GaugeSums<10>>>
+      sums;
 };
 
 // The fits of the gauges centred at the tile's points. Points whose weight is 0, and gauges with
@@ -103,7 +104,9 @@ class GradientFilter {
     moments_.Compute(values_[0], all, all, order_);
     for (std::size_t cell = 0; cell < fits.size(); ++cell) {
       if (!fits[cell].solved) continue;
-      store(cell, order_ == 1 ? Gradient<3>(fits[cell], cell) : Gradient<6>(fits[cell], cell));
+      store(cell, order_ == 1   ? Gradient<3>(fits[cell], cell)
+                  : order_ == 2 ? Gradient<6>(fits[cell], cell)
+                                : Gradient<10>(fits[cell], cell));
     }
   }
 
