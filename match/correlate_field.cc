@@ -50,6 +50,7 @@ struct FieldCorrelator::Impl {
   const Image<std::uint8_t>* MaskOrNull() const { return mask.empty() ? nullptr : &mask; }
   std::vector<Propagation::Start> StartsOf(const PlanarField& field,
                                            const std::vector<CorrelationSeed>& seeds) const;
+  std::vector<Propagation::Start> Sparse(const std::vector<Propagation::Start>& starts) const;
   std::vector<CorrelationSeed> SeedsForTheRest(const GrayImage& image,
                                                const PlanarField& field) const;
   void CheckImage(const GrayImage& image) const;
@@ -180,6 +181,19 @@ std::vector<Propagation::Start> FieldCorrelator::Impl::StartsOf(
   return starts;
 }
 
+// One a subset's side. Points between them are better led to by their neighbours, who know how
+// subsets are bent, than by starts of first order, which leave a trace within the last step.
+std::vector<Propagation::Start> FieldCorrelator::Impl::Sparse(
+    const std::vector<Propagation::Start>& starts) const {
+  const int apart = std::max(2, options.correlator.subset_px / options.step_px);
+  std::vector<Propagation::Start> some;
+  for (const Propagation::Start& start : starts) {
+    const auto r = start.first / options.grid.width, c = start.first % options.grid.width;
+    if (r % apart == 0 && c % apart == 0) some.push_back(start);
+  }
+  return some;
+}
+
 // Seeds for the points that nothing has led to, looked for in these parts of the image alone.
 std::vector<CorrelationSeed> FieldCorrelator::Impl::SeedsForTheRest(
     const GrayImage& image, const PlanarField& field) const {
@@ -219,6 +233,10 @@ CorrelatedField FieldCorrelator::Impl::Run(const GrayImage& image, const Correla
   CorrelatedField result{EmptyField(), {}};
   PlanarField& field = result.field;
   Propagation propagation(correlator, deformed, field, nullptr, start.curvature);
+  if (!start.search) {
+    propagation.Try(Sparse(starts));
+    propagation.Spread();
+  }
   propagation.Try(starts);
   propagation.Spread();
   FieldCounts& counts = result.counts;
@@ -227,7 +245,7 @@ CorrelatedField FieldCorrelator::Impl::Run(const GrayImage& image, const Correla
   };
   const bool led_astray =
       static_cast<double>(ok()) < kFewAstray * static_cast<double>(starts.size());
-  if (from_seeds || led_astray) {
+  if (from_seeds || (led_astray && start.search)) {
     const std::int64_t before = ok();
     const bool own = !from_seeds && start.seeds;
     propagation.TryAgain();
@@ -274,7 +292,8 @@ CorrelatedField FieldCorrelator::Correlate(const GrayImage& deformed,
   }
   CorrelatedField result = impl.Run(deformed, prepared, starts, start, false);
   // A jump of the specimen leaves nothing of a start from the frame before.
-  if (result.counts.ok * 2 >= static_cast<std::int64_t>(starts.size()) && result.counts.ok > 0) {
+  if (!start.search ||
+      (result.counts.ok * 2 >= static_cast<std::int64_t>(starts.size()) && result.counts.ok > 0)) {
     return result;
   }
   CorrelatedField anew = impl.FromSeeds(deformed, prepared, start);

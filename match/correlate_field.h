@@ -68,6 +68,9 @@ struct FieldStart {
   // At each point of the grid, the second order of the motion where that is known, as between views
   // of two cameras; with order 1 it is kept as it is. Null: none is known.
   const Image<SubsetCurvature>* curvature = nullptr;
+  // Whether seeds are looked for where a prior leads nowhere; else what it does not lead to is
+  // lost.
+  bool search = true;
 };
 
 struct CorrelatedField {

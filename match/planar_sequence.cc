@@ -58,7 +58,8 @@ struct PlanarSequence::Impl {
     ComposedField fields;
   };
 
-  ComposedField Match(const GrayImage& image, const SeedFinder& seeds) const;
+  ComposedField Match(const GrayImage& image, const SeedFinder& seeds,
+                      const PlanarField* starts) const;
   bool Worse(const CorrelatedField& now) const;
   std::unique_ptr<const UpdatedReference> ReferenceOf(const Last& frame) const;
   void Take(std::unique_ptr<const UpdatedReference> reference, std::int64_t number);
@@ -88,10 +89,15 @@ PlanarSequence::~PlanarSequence() = default;
 
 const FieldCorrelator& PlanarSequence::correlator() const { return impl_->first; }
 
-ComposedField PlanarSequence::Impl::Match(const GrayImage& image, const SeedFinder& seeds) const {
-  const PlanarField* const from = memory.Expected();
-  if (updated) return updated->Correlate(image, {from, nullptr, options.verify_all});
-  const FieldStart begin{from, seeds, options.verify_all, curvature.empty() ? nullptr : &curvature};
+ComposedField PlanarSequence::Impl::Match(const GrayImage& image, const SeedFinder& seeds,
+                                          const PlanarField* starts) const {
+  FieldStart begin;
+  begin.prior = starts != nullptr ? starts : memory.Expected();
+  begin.search = starts == nullptr;
+  begin.verify_back = options.verify_all || starts != nullptr;
+  if (updated) return updated->Correlate(image, begin);
+  begin.seeds = seeds;
+  begin.curvature = curvature.empty() ? nullptr : &curvature;
   ComposedField result{first.Correlate(image, begin), {}, {}};
   result.leg = result.total.field;
   return result;
@@ -156,11 +162,11 @@ void PlanarSequence::Restart() {
 }
 
 SequenceFrame PlanarSequence::Add(const GrayImage& deformed, std::int64_t number,
-                                  const SeedFinder& seeds) {
+                                  const SeedFinder& seeds, const PlanarField* starts) {
   Impl& impl = *impl_;
   if (deformed.size() != impl.size) impl.first.Correlate(deformed);  // throws
   const SequenceOptions& options = impl.options;
-  ComposedField fields = impl.Match(deformed, seeds);
+  ComposedField fields = impl.Match(deformed, seeds, starts);
   if (options.reference == ReferenceMode::kAuto && impl.last &&
       impl.last->number != impl.reference_number && impl.Worse(fields.total)) {
     if (auto again = impl.AfterUpdate(deformed, fields.total)) fields = std::move(*again);

@@ -68,10 +68,12 @@ class PlanarSequence {
 
   // The next frame. `number`: the caller's, for SequenceFrame::reference_frame. `seeds`: where to
   // start the first frame, and frames that the one before leads nowhere in, as long as the
-  // reference is the first image; null: FindSeeds(). Throws InputError when the image is not of the
-  // reference's size; the sequence then goes on without it.
+  // reference is the first image; null: FindSeeds(). `starts`: about where the points are, in terms
+  // of the reference in force; in place of what the frames before lead to, and of any search: what
+  // these do not lead to is lost. Throws InputError when the image is not of the reference's size;
+  // the sequence then goes on without it.
   SequenceFrame Add(const GrayImage& deformed, std::int64_t number,
-                    const SeedFinder& seeds = nullptr);
+                    const SeedFinder& seeds = nullptr, const PlanarField* starts = nullptr);
 
   // What FieldStart::curvature is to say of matches with the first image.
   void SetCurvature(Image<SubsetCurvature> curvature);

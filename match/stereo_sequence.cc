@@ -46,6 +46,28 @@ PlanarField AtRest(const PlanarField& right) {
   return left;
 }
 
+// From the left image to the right one of a pair, out of where that shows each point.
+PlanarField StartsAt(const SubsetGrid& grid, const RightPlace& place) {
+  PlanarField starts(grid.grid, grid.first_px, grid.step_px);
+  const double reach = grid.subset_px / 2.0;
+  for (int r = 0; r < grid.grid.height; ++r) {
+    for (int c = 0; c < grid.grid.width; ++c) {
+      const Eigen::Vector2d x = starts.PixelOf(r, c);
+      const auto along = [&](const Eigen::Vector2d& by) {
+        return ((place(x + by) - place(x - by)) / (2 * reach)).eval();
+      };
+      Eigen::Matrix2d F;
+      F << along({reach, 0}), along({0, reach});
+      const Eigen::Vector2d displacement = place(x) - x;
+      if (!F.allFinite() || !displacement.allFinite()) continue;
+      starts.status(r, c) = Status::kOk;
+      starts.displacement_px(r, c) = displacement;
+      starts.gradient(r, c) = (F - kOne).cast<float>();
+    }
+  }
+  return starts;
+}
+
 // Half the second derivatives of the motion at a point, out of its neighbours' gradients; NaN where
 // one is missing.
 SubsetCurvature CurvatureAt(const PlanarField& field, int r, int c) {
@@ -140,12 +162,15 @@ void StereoSequenceOptions::Check() const {
 
 struct StereoSequence::Impl {
   Impl(const StereoRig& rig, const GrayImage& left, const GrayImage& right,
-       const StereoSequenceOptions& o, const Image<std::uint8_t>& m);
+       const StereoSequenceOptions& o, const Image<std::uint8_t>& m, const RightPlace& place);
   SequenceOptions Sequence() const;
-  void MatchReference(const GrayImage& left, const GrayImage& right);
+  void MatchReference(const StereoRig& rig, const GrayImage& left, const RightPlace& place);
+  std::optional<SequenceFrame> MatchReferenceFrom(const RightPlace& place);
   std::vector<CorrelationSeed> RightSeeds(const GrayImage& right) const;
   ComposedField FreshStereo(const GrayImage& left, const GrayImage& right,
-                            const SequenceFrame& tracked);
+                            const SequenceFrame& tracked, const StereoField* starts);
+  StereoField Add(const GrayImage& left_image, const GrayImage& right_image, std::int64_t number,
+                  const StereoField* starts);
 
   StereoSequenceOptions options;
   Image<std::uint8_t> mask;
@@ -169,7 +194,8 @@ SequenceOptions StereoSequence::Impl::Sequence() const {
 }
 
 StereoSequence::Impl::Impl(const StereoRig& rig, const GrayImage& l, const GrayImage& r,
-                           const StereoSequenceOptions& o, const Image<std::uint8_t>& m)
+                           const StereoSequenceOptions& o, const Image<std::uint8_t>& m,
+                           const RightPlace& place)
     : options(o), mask(m), right_reference(r) {
   if (l.size() != r.size()) {
     throw InputError(fmt::format(
@@ -177,15 +203,14 @@ StereoSequence::Impl::Impl(const StereoRig& rig, const GrayImage& l, const GrayI
         "needs images of one size; crop both alike and calibrate with the cropped ones",
         l.width(), l.height(), r.width(), r.height()));
   }
-  seeds = FindStereoSeeds(rig, l, r, mask.empty() ? nullptr : &mask, options.seeds);
-  MatchReference(l, r);
+  MatchReference(rig, l, place);
   if (options.follow_curvature && options.field.correlator.order == 1) {
     curvature = SmoothCurvature(reference.right);
     constexpr double kWorthIt = 0.1;
     if (BiasInSigmas(reference.right, curvature) < kWorthIt) {
       curvature = {};
     } else {
-      MatchReference(l, r);
+      MatchReference(rig, l, place);
     }
   }
   seeds.seeds.clear();
@@ -193,16 +218,40 @@ StereoSequence::Impl::Impl(const StereoRig& rig, const GrayImage& l, const GrayI
 
 // A sequence of each camera, both from the left reference image. That of the right camera has seen
 // the right reference image, so that it goes on from there.
-void StereoSequence::Impl::MatchReference(const GrayImage& l, const GrayImage& r) {
+void StereoSequence::Impl::MatchReference(const StereoRig& rig, const GrayImage& l,
+                                          const RightPlace& place) {
   left = std::make_unique<PlanarSequence>(l, Sequence(), mask);
   SequenceOptions across = Sequence();
   across.field.correlator.deformed_noise = options.right_noise;
   right = std::make_unique<PlanarSequence>(l, across, mask);
   right->SetCurvature(curvature);
-  SequenceFrame found = right->Add(r, -1, [this](const GrayImage&) { return seeds.seeds; });
-  reference.right = std::move(found.field);
-  reference.right_counts = found.counts;
+  std::optional<SequenceFrame> found;
+  if (place) found = MatchReferenceFrom(place);
+  if (!found) {
+    if (seeds.seeds.empty()) {
+      const Image<std::uint8_t>* const wanted = mask.empty() ? nullptr : &mask;
+      seeds = FindStereoSeeds(rig, l, right_reference, wanted, options.seeds);
+    }
+    found = right->Add(right_reference, -1, [this](const GrayImage&) { return seeds.seeds; });
+  }
+  reference.right = std::move(found->field);
+  reference.right_counts = found->counts;
   reference.left = AtRest(reference.right);
+}
+
+// Nothing where the places lead to too little, and nothing changed.
+std::optional<SequenceFrame> StereoSequence::Impl::MatchReferenceFrom(const RightPlace& place) {
+  constexpr double kLeastFound = 0.9;  // of what was known
+  const PlanarField starts = StartsAt(right->correlator().grid(), place);
+  const auto known =
+      std::count(starts.status.values().begin(), starts.status.values().end(), Status::kOk);
+  if (known == 0) return std::nullopt;
+  SequenceFrame found = right->Add(right_reference, -1, nullptr, &starts);
+  if (static_cast<double>(found.counts.ok) >= kLeastFound * static_cast<double>(known)) {
+    return found;
+  }
+  right->Restart();
+  return std::nullopt;
 }
 
 // Seeds for a right image that nothing is known of: from the right reference image, taken on from
@@ -241,22 +290,68 @@ std::vector<CorrelationSeed> StereoSequence::Impl::RightSeeds(const GrayImage& i
 }
 
 ComposedField StereoSequence::Impl::FreshStereo(const GrayImage& l, const GrayImage& r,
-                                                const SequenceFrame& tracked) {
+                                                const SequenceFrame& tracked,
+                                                const StereoField* starts) {
   ComposedField base;
   base.total = {tracked.field, tracked.counts};
   base.leg = tracked.field;
   const UpdatedReference across(l, base, mask, right->correlator().options());
-  const StereoField& before = last ? *last : reference;
-  const PlanarField start = LegBetween(before.left, before.right);
-  return across.Correlate(
-      r, {&start, nullptr, options.verify_all || !last, curvature.empty() ? nullptr : &curvature});
+  const StereoField& before = starts != nullptr ? *starts : last ? *last : reference;
+  const PlanarField leg = LegBetween(before.left, before.right);
+  FieldStart start;
+  start.prior = &leg;
+  start.verify_back = options.verify_all || starts != nullptr || !last;
+  start.curvature = curvature.empty() ? nullptr : &curvature;
+  start.search = starts == nullptr;
+  return across.Correlate(r, start);
+}
+
+StereoField StereoSequence::Impl::Add(const GrayImage& left_image, const GrayImage& right_image,
+                                      std::int64_t number, const StereoField* starts) {
+  for (const GrayImage* image : {&left_image, &right_image}) {
+    if (image->size() != right_reference.size()) {
+      throw InputError(fmt::format("the images have {} x {} px and those of the reference {} x {}",
+                                   image->width(), image->height(), right_reference.width(),
+                                   right_reference.height()));
+    }
+  }
+  const PlanarField* const left_starts = starts == nullptr ? nullptr : &starts->left;
+  SequenceFrame tracked, seen;
+  if (options.strategy == StereoStrategy::kFreshStereo) {
+    tracked = left->Add(left_image, number, nullptr, left_starts);
+    if (tracked.counts.ok > 0) {
+      ComposedField across = FreshStereo(left_image, right_image, tracked, starts);
+      seen.field = std::move(across.total.field);
+      seen.counts = across.total.counts;
+    } else {
+      seen.field = tracked.field;
+      seen.counts = tracked.counts;
+    }
+  } else {
+    const PlanarField* const right_starts = starts == nullptr ? nullptr : &starts->right;
+    tbb::parallel_invoke([&] { tracked = left->Add(left_image, number, nullptr, left_starts); },
+                         [&] {
+                           seen = right->Add(
+                               right_image, number,
+                               [&](const GrayImage& image) { return RightSeeds(image); },
+                               right_starts);
+                         });
+  }
+  StereoField field;
+  field.left = std::move(tracked.field);
+  field.left_counts = tracked.counts;
+  field.right = std::move(seen.field);
+  field.right_counts = seen.counts;
+  field.reference_frame = tracked.reference_frame;
+  if (options.strategy == StereoStrategy::kFreshStereo && field.right_counts.ok > 0) last = field;
+  return field;
 }
 
 StereoSequence::StereoSequence(const StereoRig& rig, const GrayImage& left, const GrayImage& right,
                                const StereoSequenceOptions& options,
-                               const Image<std::uint8_t>& mask) {
+                               const Image<std::uint8_t>& mask, const RightPlace& right_place) {
   options.Check();
-  impl_ = std::make_unique<Impl>(rig, left, right, options, mask);
+  impl_ = std::make_unique<Impl>(rig, left, right, options, mask, right_place);
 }
 
 StereoSequence::~StereoSequence() = default;
@@ -268,43 +363,15 @@ bool StereoSequence::follows_curvature() const { return !impl_->curvature.empty(
 
 StereoField StereoSequence::Add(const GrayImage& left, const GrayImage& right,
                                 std::int64_t number) {
-  Impl& impl = *impl_;
-  for (const GrayImage* image : {&left, &right}) {
-    if (image->size() != impl.right_reference.size()) {
-      throw InputError(fmt::format("the images have {} x {} px and those of the reference {} x {}",
-                                   image->width(), image->height(), impl.right_reference.width(),
-                                   impl.right_reference.height()));
-    }
+  return impl_->Add(left, right, number, nullptr);
+}
+
+StereoField StereoSequence::AddFrom(const StereoField& starts, const GrayImage& left,
+                                    const GrayImage& right, std::int64_t number) {
+  if (impl_->options.strategy == StereoStrategy::kIncremental) {
+    throw std::logic_error("the points of an incremental sequence are known from the last frame");
   }
-  StereoField field;
-  SequenceFrame tracked, seen;
-  if (impl.options.strategy == StereoStrategy::kFreshStereo) {
-    tracked = impl.left->Add(left, number);
-    if (tracked.counts.ok > 0) {
-      ComposedField across = impl.FreshStereo(left, right, tracked);
-      seen.field = std::move(across.total.field);
-      seen.counts = across.total.counts;
-    } else {
-      seen.field = tracked.field;
-      seen.counts = tracked.counts;
-    }
-  } else {
-    tbb::parallel_invoke([&] { tracked = impl.left->Add(left, number); },
-                         [&] {
-                           seen = impl.right->Add(right, number, [&](const GrayImage& image) {
-                             return impl.RightSeeds(image);
-                           });
-                         });
-  }
-  field.left = std::move(tracked.field);
-  field.left_counts = tracked.counts;
-  field.right = std::move(seen.field);
-  field.right_counts = seen.counts;
-  field.reference_frame = tracked.reference_frame;
-  if (impl.options.strategy == StereoStrategy::kFreshStereo && field.right_counts.ok > 0) {
-    impl.last = field;
-  }
-  return field;
+  return impl_->Add(left, right, number, &starts);
 }
 
 void StereoSequence::Restart() {

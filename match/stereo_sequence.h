@@ -1,7 +1,9 @@
 #pragma once
 
+#include <Eigen/Core>
 #include <array>
 #include <cstdint>
+#include <functional>
 #include <memory>
 #include <optional>
 #include <string_view>
@@ -56,6 +58,9 @@ struct StereoField {
   std::int64_t reference_frame = -1;
 };
 
+// Where the right image of a pair shows, about, what the left one shows at a pixel; NaN: not known.
+using RightPlace = std::function<Eigen::Vector2d(const Eigen::Vector2d& left_px)>;
+
 // Follows the points of a reference pair through a sequence of pairs, in the raw images.
 //
 // The errors of all matches of one point have the noise of the reference subset in common
@@ -65,16 +70,19 @@ struct StereoField {
 // Not thread-safe; uses all of TBB's threads, and the result does not depend on their number.
 class StereoSequence {
  public:
-  // Matches the reference pair. mask: of its left image; may be empty. Throws UsageError from the
-  // options; InputError as FindStereoSeeds and FieldCorrelator, and where the cameras' images
-  // differ in size.
+  // Matches the reference pair. mask: of its left image; may be empty. right_place: where that is
+  // known beforehand, to a pixel or two; the pair is searched where it leads to too little, and
+  // without it. Throws UsageError from the options; InputError as FindStereoSeeds and
+  // FieldCorrelator, and where the cameras' images differ in size.
   StereoSequence(const StereoRig& rig, const GrayImage& left, const GrayImage& right,
-                 const StereoSequenceOptions& options, const Image<std::uint8_t>& mask = {});
+                 const StereoSequenceOptions& options, const Image<std::uint8_t>& mask = {},
+                 const RightPlace& right_place = nullptr);
   ~StereoSequence();
 
   // Left: at rest, without error.
   const StereoField& reference() const;
-  // What the search for seeds said of the reference pair (its seeds are not kept).
+  // What the search for seeds said of the reference pair (its seeds are not kept); empty where
+  // there was none.
   const StereoSeeds& reference_seeds() const;
   const FieldCorrelator& correlator() const;  // of the left reference image
   bool follows_curvature() const;
@@ -82,6 +90,14 @@ class StereoSequence {
   // The next pair. `number`: the caller's, for StereoField::reference_frame. Throws InputError when
   // an image is not of the reference's size; the sequence then goes on without it.
   StereoField Add(const GrayImage& left, const GrayImage& right, std::int64_t number);
+
+  // The same when it is known, about, where both images show the points: displacements and
+  // gradients (zero will do) of the points that are kOk in `starts`, of the grid of reference();
+  // else they are reached from their neighbours. All points are verified, and none is looked for
+  // anywhere else. Throws InputError where starts are of another grid, std::logic_error for
+  // kIncremental.
+  StereoField AddFrom(const StereoField& starts, const GrayImage& left, const GrayImage& right,
+                      std::int64_t number);
 
   // Forgets the frames after the reference: the next one is matched as the first. Throws
   // std::logic_error for kIncremental.

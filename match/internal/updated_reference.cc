@@ -128,8 +128,8 @@ ComposedField UpdatedReference::Correlate(const GrayImage& deformed,
           SubsetWarp::Of(prior.displacement_px.data()[i], prior.gradient.data()[i].cast<double>()));
     }
     best = From(deformed, prepared, starts, start, false);
-    if (best.total.counts.ok * 2 >= static_cast<std::int64_t>(starts.size()) &&
-        best.total.counts.ok > 0) {
+    if (!start.search || (best.total.counts.ok * 2 >= static_cast<std::int64_t>(starts.size()) &&
+                          best.total.counts.ok > 0)) {
       return best;
     }
   }

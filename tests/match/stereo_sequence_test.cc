@@ -165,6 +165,83 @@ TEST(StereoSequence, StartsAnywhereAfterARestart) {
   }
 }
 
+// Where both images show the points of the first sheet, off by as much.
+StereoField StartsAt(const StereoRig& rig, const SpeckledSheet& first, const SpeckledSheet& now,
+                     const PlanarField& grid, const Eigen::Vector2d& off_px) {
+  StereoField starts;
+  starts.left = starts.right = PlanarField(grid.size(), grid.first_px, grid.step_px);
+  for (int r = 0; r < grid.size().height; ++r) {
+    for (int c = 0; c < grid.size().width; ++c) {
+      const Eigen::Vector2d pixel = grid.PixelOf(r, c);
+      const Eigen::Vector3d point = now.PointInRig(first.MaterialAt(rig, pixel));
+      const auto set = [&](PlanarField& field, const Eigen::Vector2d& there) {
+        field.status(r, c) = Status::kOk;
+        field.displacement_px(r, c) = there - pixel + off_px;
+        field.gradient(r, c).setZero();
+      };
+      set(starts.left, rig.left.Project(point));
+      set(starts.right, rig.right.Project(rig.right_from_left * point));
+    }
+  }
+  return starts;
+}
+
+TEST(StereoSequence, StartsFromWhereThePointsAreKnownToBe) {
+  const StereoRig rig = Rig();
+  const SpeckledSheet first = SheetAt(0), later = SheetAt(6);
+  const GrayImage left = later.Left(rig, kNoiseGrey, 3), right = later.Right(rig, kNoiseGrey, 4);
+  for (const StereoStrategy strategy : {StereoStrategy::kReference, StereoStrategy::kFreshStereo}) {
+    StereoSequence sequence(rig, first.Left(rig, kNoiseGrey, 1), first.Right(rig, kNoiseGrey, 2),
+                            Options(strategy));
+    const PlanarField& grid = sequence.reference().left;
+    const StereoField searched = sequence.Add(left, right, 6);
+    sequence.Restart();
+    const StereoField field =
+        sequence.AddFrom(StartsAt(rig, first, later, grid, {1, -0.7}), left, right, 6);
+    const Errors errors = Compare(rig, first, later, field);
+    EXPECT_GT(errors.ok, errors.points * 80 / 100);
+    EXPECT_EQ(errors.outside, 0);
+    int both = 0;
+    for (std::size_t i = 0; i < grid.status.pixel_count(); ++i) {
+      if (field.right.status.data()[i] != Status::kOk ||
+          searched.right.status.data()[i] != Status::kOk) {
+        continue;
+      }
+      ++both;
+      EXPECT_LT(
+          (field.right.displacement_px.data()[i] - searched.right.displacement_px.data()[i]).norm(),
+          0.01);
+    }
+    EXPECT_GE(both, searched.right_counts.ok * 98 / 100);
+    // Starts that lead nowhere are not made up for by a search.
+    const StereoField astray =
+        sequence.AddFrom(StartsAt(rig, first, later, grid, {40, 25}), left, right, 6);
+    EXPECT_LT(astray.left_counts.ok, 10);
+    EXPECT_LT(astray.right_counts.ok, 10);
+    EXPECT_THROW(sequence.AddFrom({PlanarField({2, 2}, {30, 30}, 12), {}, {}, {}}, left, right, 6),
+                 InputError);
+  }
+}
+
+TEST(StereoSequence, TakesThePairAsItIsKnownAndSearchesItWhereThatIsWrong) {
+  const StereoRig rig = Rig();
+  const SpeckledSheet first = SheetAt(0);
+  const GrayImage left = first.Left(rig, kNoiseGrey, 1), right = first.Right(rig, kNoiseGrey, 2);
+  const StereoSequenceOptions options = Options(StereoStrategy::kReference);
+  const StereoSequence searched(rig, left, right, options);
+  for (const double off_px : {1.0, 50.0}) {
+    const StereoSequence known(rig, left, right, options, {}, [&](const Eigen::Vector2d& px) {
+      const Eigen::Vector3d point = first.PointInRig(first.MaterialAt(rig, px));
+      return Eigen::Vector2d(rig.right.Project(rig.right_from_left * point) +
+                             Eigen::Vector2d(off_px, 0));
+    });
+    EXPECT_EQ(known.reference_seeds().found > 0, off_px > 10);
+    const Errors errors = Compare(rig, first, first, known.reference());
+    EXPECT_GE(errors.ok, searched.reference().right_counts.ok * 98 / 100);
+    EXPECT_EQ(errors.outside, 0);
+  }
+}
+
 TEST(StereoSequence, GoesOnAfterABlankPair) {
   const StereoRig rig = Rig();
   const SpeckledSheet first = SheetAt(0), now = SheetAt(1);
@@ -206,6 +283,7 @@ TEST(StereoSequence, RefusesWhatIsNoSequenceOfOneRig) {
   const GrayImage small{Image<std::uint16_t>({100, 80}, 7), 8};
   EXPECT_THROW(sequence.Add(small, small, 1), InputError);
   EXPECT_THROW(sequence.Restart(), std::logic_error);
+  EXPECT_THROW(sequence.AddFrom(sequence.reference(), small, small, 1), std::logic_error);
   StereoSequenceOptions options = Options(StereoStrategy::kIncremental);
   options.update_every = 0;
   EXPECT_THROW(options.Check(), UsageError);
