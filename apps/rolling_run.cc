@@ -12,6 +12,7 @@
 #include "apps/internal/rolling_records.h"
 #include "apps/internal/wheel_motion.h"
 #include "calib/error.h"
+#include "track/rolling_starts.h"
 
 namespace plumbline {
 namespace {
@@ -89,8 +90,8 @@ RollingRun::Impl::Prepared& RollingRun::Impl::Prepare(std::size_t view) {
   while (prepared.size() >= static_cast<std::size_t>(options.views_held)) prepared.pop_back();
   const WheelReferenceView& v = reference.views[view];
   Prepared anew{view, nullptr, nullptr};
-  anew.sequence =
-      std::make_unique<StereoSequence>(reference.rig, v.left, v.right, options.sequence, wanted);
+  anew.sequence = std::make_unique<StereoSequence>(reference.rig, v.left, v.right, options.sequence,
+                                                   wanted, RightPlaceOf(reference, v));
   anew.evaluation = std::make_unique<SurfaceEvaluation>(reference.rig, anew.sequence->reference(),
                                                         anew.sequence->correlator().neighbours(),
                                                         options.evaluation);
@@ -200,7 +201,8 @@ SeriesFrame RollingRun::Impl::MeasurePlaced(const StereoFrame& pair, std::size_t
   const auto begin = std::chrono::steady_clock::now();
   Prepared& by = Prepare(rolling.frames[at].view);
   by.sequence->Restart();
-  const StereoField field = by.sequence->Add(pair.left, pair.right, pair.index);
+  const StereoField starts = StartsOf(rolling, at, by.sequence->reference().left);
+  const StereoField field = by.sequence->AddFrom(starts, pair.left, pair.right, pair.index);
   out.match_s = SecondsSince(begin);
   out.left_counts = field.left_counts;
   out.right_counts = field.right_counts;

@@ -13,6 +13,10 @@
 #include "calib/median.h"
 #include "calib/mode_triangulation.h"
 #include "track/internal/axis_along_modes.h"
+#include "track/internal/frame_rig.h"
+#include "track/internal/surface_memory.h"
+#include "track/internal/view_material.h"
+#include "track/rolling_starts.h"
 #include "track/surface_motion.h"
 #include "track/surface_state.h"
 
@@ -62,6 +66,24 @@ double SpeedSpread(const RollingAngles& angles, const std::vector<double>& times
   return std::max(beside(f), beside(f + 1));
 }
 
+// Only points that may be kept are matched, as far as they are near enough, half a subset, for
+// neighbours to lead to each other.
+RollingSurveyOptions Coarser(RollingSurveyOptions options, ImageSize image) {
+  FieldOptions& field = options.matching.field;
+  const bool placed = field.first_px.x() >= 0;
+  const int points = placed ? field.grid.width * field.grid.height
+                            : image.width / field.step_px * (image.height / field.step_px);
+  const int by = std::min(StrideFor(points, options.most_points),
+                          std::max(1, field.correlator.radius_px() / field.step_px));
+  field.step_px *= by;
+  if (placed) field.grid = {(field.grid.width - 1) / by + 1, (field.grid.height - 1) / by + 1};
+  return options;
+}
+
+double TimeOf(const RollingFrame& frame) {
+  return std::isfinite(frame.time_s) ? frame.time_s : static_cast<double>(frame.index);
+}
+
 }  // namespace
 
 double MaterialAngle(const Eigen::Vector3d& in_wheel_mm) {
@@ -101,16 +123,14 @@ struct RollingSurvey::Impl {
   };
 
   Prepared& Prepare(std::size_t view);
-  Image<Eigen::Vector3d> MaterialOf(const WheelReferenceView& view, const StereoField& field) const;
-  Eigen::MatrixXf MaterialAlong(const WheelReferenceView& view,
-                                const Image<Eigen::Vector3d>& material_mm) const;
-  void Match(const GrayImage& left, const GrayImage& right, double rough_rad, RollingFrame& frame);
-  StereoRig RigOf(const Prepared& prepared, const std::vector<StereoObservation>& observations,
-                  RollingFrame& frame) const;
-  int watch_stride() const {  // points so far apart share no noise
-    const FieldOptions& field = options.matching.field;
-    return std::max(1, (field.correlator.subset_px + field.step_px - 1) / field.step_px);
-  }
+  void Find(const GrayImage& left, const GrayImage& right, RollingFrame& frame);
+  bool Follow(double angle_rad, const GrayImage& left, const GrayImage& right, RollingFrame& frame);
+  void Search(double rough_rad, const GrayImage& left, const GrayImage& right, RollingFrame& frame);
+  StereoField Expect(const internal::SurfaceMemory& supposed, const Prepared& prepared,
+                     double angle_rad) const;
+  void Place(const Prepared& prepared, const StereoField& field, double rough_rad,
+             RollingFrame& frame);
+  void Forget(RollingFrame& frame);
   void Keep(const Prepared& prepared, const StereoField& field, RollingFrame& frame);
   void AddRow(const RollingFrame& frame, const Prepared& prepared, double rough_rad);
   void Unwrap();
@@ -125,70 +145,22 @@ struct RollingSurvey::Impl {
   std::vector<RollingFrame> frames;
   std::vector<std::vector<RollingObservation>> observations;  // one a frame
   std::vector<Eigen::MatrixXf> psi_along;
-  ImageSize grid;  // of the points that are kept
+  internal::SurfaceMemory memory;
+  double found_share = 0;  // of the points that the last frame was expected to show
+  ImageSize grid;          // of the points that are kept
+  Eigen::Vector2i first_px{0, 0};
   int spacing_px = 0;
 };
 
 RollingSurvey::Impl::Impl(const WheelReference& w, const RollingSurveyOptions& o,
                           const Image<std::uint8_t>& m)
     : wheel(w),
-      options(o),
+      options(Coarser(o, w.rig.left.size())),
       mask(m),
       library(w, o.library),
       modes(w.rig),
-      axes_along(internal::AxesAlongModes(w)) {}
-
-// Where the points of a view's pair lie on the undeformed wheel.
-Image<Eigen::Vector3d> RollingSurvey::Impl::MaterialOf(const WheelReferenceView& view,
-                                                       const StereoField& field) const {
-  StereoSurface surface = TriangulateField(wheel.rig, field, UnitCovariance(field, field));
-  const Rigid3 wheel_from_rig = wheel.axis.RigFromWheel(view.angle_rad).Inverse();
-  Image<Eigen::Vector3d> material_mm = std::move(surface.instant.point_mm);
-  for (std::size_t i = 0; i < material_mm.pixel_count(); ++i) {
-    Eigen::Vector3d& p = material_mm.data()[i];
-    if (surface.status.data()[i] == Status::kOk) {
-      p = wheel_from_rig * p;
-    } else {
-      p.setConstant(RollingFrame::kNone);
-    }
-  }
-  return material_mm;
-}
-
-// What each mode does to the material angles of a view's points: they are seen where they are, at
-// another place of another wheel.
-Eigen::MatrixXf RollingSurvey::Impl::MaterialAlong(
-    const WheelReferenceView& view, const Image<Eigen::Vector3d>& material_mm) const {
-  const std::size_t count = material_mm.pixel_count(), K = axes_along.size();
-  Eigen::MatrixXf along =
-      Eigen::MatrixXf::Zero(static_cast<Eigen::Index>(count), static_cast<Eigen::Index>(K));
-  if (K == 0) return along;
-  const Rigid3 rig_from_wheel = wheel.axis.RigFromWheel(view.angle_rad);
-  std::vector<std::size_t> places;
-  std::vector<Eigen::Vector2d> left, right;
-  std::vector<Eigen::Vector3d> in_rig;
-  for (std::size_t i = 0; i < count; ++i) {
-    if (!material_mm.data()[i].allFinite()) continue;
-    places.push_back(i);
-    in_rig.push_back(rig_from_wheel * material_mm.data()[i]);
-    left.push_back(wheel.rig.left.Project(in_rig.back()));
-    right.push_back(wheel.rig.right.Project(wheel.rig.right_from_left * in_rig.back()));
-  }
-  std::vector<Eigen::Vector3f> moved(places.size() * K);
-  modes.Differences(left, right, moved);
-  for (std::size_t k = 0; k < K; ++k) {
-    const double angle =
-        view.angle_rad + wheel.angles_along_modes_rad(static_cast<Eigen::Index>(k), view.frame);
-    const Rigid3 wheel_from_rig = axes_along[k].RigFromWheel(angle).Inverse();
-    for (std::size_t n = 0; n < places.size(); ++n) {
-      const Eigen::Vector3d there = wheel_from_rig * (in_rig[n] + moved[n * K + k].cast<double>());
-      along(static_cast<Eigen::Index>(places[n]), static_cast<Eigen::Index>(k)) =
-          static_cast<float>(std::remainder(
-              MaterialAngle(there) - MaterialAngle(material_mm.data()[places[n]]), kTurn_rad));
-    }
-  }
-  return along;
-}
+      axes_along(internal::AxesAlongModes(w)),
+      memory(w) {}
 
 RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
   const auto found = std::find_if(prepared.begin(), prepared.end(),
@@ -198,48 +170,21 @@ RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
     return prepared.front();
   }
   const WheelReferenceView& v = wheel.views[view];
-  Prepared anew{
-      view,
-      std::make_unique<StereoSequence>(wheel.rig, v.left, v.right, options.matching, mask),
-      {},
-      {},
-      {}};
-  anew.material_mm = MaterialOf(v, anew.sequence->reference());
+  Prepared anew{view,
+                std::make_unique<StereoSequence>(wheel.rig, v.left, v.right, options.matching, mask,
+                                                 RightPlaceOf(wheel, v)),
+                {},
+                {},
+                {}};
+  const StereoField& field = anew.sequence->reference();
+  anew.material_mm = internal::MaterialOf(wheel, v, field);
+  anew.material_along = internal::MaterialAlongModes(wheel, v, anew.material_mm, modes, axes_along);
   if (options.refinement != PoseRefinement::kOff) {
-    const StereoField& field = anew.sequence->reference();
-    try {
-      anew.pose = PoseOfPair(wheel.rig,
-                             ObservationsOf(field, UnitCovariance(field, field), watch_stride()));
-    } catch (const InputError&) {
-      // Its matches do not tell a pose: frames keep that of the calibration.
-    }
+    anew.pose = internal::PoseOfView(wheel.rig, field);
   }
-  anew.material_along = MaterialAlong(v, anew.material_mm);
   while (prepared.size() >= static_cast<std::size_t>(options.views_held)) prepared.pop_back();
   prepared.push_front(std::move(anew));
   return prepared.front();
-}
-
-// The rig as it was in a frame: refined where the right camera has moved since the view was taken.
-StereoRig RollingSurvey::Impl::RigOf(const Prepared& by,
-                                     const std::vector<StereoObservation>& observations,
-                                     RollingFrame& frame) const {
-  StereoRig rig = wheel.rig;
-  frame.right_from_left.reset();
-  frame.right_from_left_moved.clear();
-  if (!by.pose) return rig;
-  try {
-    const CameraMotion motion = MotionSince(wheel.rig, *by.pose, observations);
-    if (!motion.moved && options.refinement != PoseRefinement::kAlways) return rig;
-    rig.right_from_left = WithBaselineOf(rig, PoseAfter(motion.since.change, rig.right_from_left));
-    frame.right_from_left = rig.right_from_left;
-    for (const auto& error : ErrorsOfMotion(motion.since.cov_random, rig.baseline_mm())) {
-      frame.right_from_left_moved.push_back(PoseAfter(error, rig.right_from_left));
-    }
-  } catch (const InputError&) {
-    // Its matches do not tell a pose: that of the calibration stays.
-  }
-  return rig;
 }
 
 // The points that both cameras see, of known material.
@@ -247,7 +192,8 @@ void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, Rol
   const StereoSequence& sequence = *by.sequence;
   const Image<Eigen::Vector3d>& material = by.material_mm;
   const Image<Eigen::Vector3f> unit = UnitCovariance(sequence.reference(), field);
-  const StereoRig rig = RigOf(by, ObservationsOf(field, unit, watch_stride()), frame);
+  const StereoRig rig =
+      internal::RigOfFrame(wheel.rig, by.pose, field, unit, options.refinement, &frame);
   const StereoSurface surface = TriangulateField(rig, field, unit);
   const auto cov = CovarianceOf(surface.instant, unit);
   const auto usable = [&](int r, int c) {
@@ -255,6 +201,7 @@ void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, Rol
   };
   const int stride = StrideFor(static_cast<int>(material.pixel_count()), options.most_points);
   grid = {(material.width() - 1) / stride + 1, (material.height() - 1) / stride + 1};
+  first_px = field.left.first_px;
   spacing_px = stride * field.left.step_px;
   for (int r = 0; r < material.height(); r += stride) {
     for (int c = 0; c < material.width(); c += stride) {
@@ -318,20 +265,80 @@ void RollingSurvey::Impl::AddRow(const RollingFrame& frame, const Prepared& by, 
   }
 }
 
-void RollingSurvey::Impl::Match(const GrayImage& left, const GrayImage& right, double rough_rad,
-                                RollingFrame& frame) {
+// Where the points of a view should be seen, well inside of both images.
+StereoField RollingSurvey::Impl::Expect(const internal::SurfaceMemory& supposed, const Prepared& by,
+                                        double angle_rad) const {
+  constexpr double kRoom = 1.5;  // of a subset's half
+  return supposed.Expect(angle_rad, by.sequence->reference().left, by.material_mm,
+                         kRoom * options.matching.field.correlator.radius_px());
+}
+
+// From where the frames before let expect the surface, the wheel at this angle; and from what the
+// frame itself then shows of it. False, and nothing changed, where that leads to fewer of the
+// points than it did in the last frame.
+bool RollingSurvey::Impl::Follow(double angle_rad, const GrayImage& left, const GrayImage& right,
+                                 RollingFrame& frame) {
+  constexpr int kRounds = 3;
+  constexpr double kAsMany = 0.95, kNoMore = 0.005;
+  frame.view = NearestView(wheel, angle_rad);
+  Prepared& by = Prepare(frame.view);
+  internal::SurfaceMemory supposed = memory;
+  double before = 0;
+  for (int round = 0; round < kRounds; ++round) {
+    by.sequence->Restart();
+    const StereoField expected = Expect(supposed, by, angle_rad);
+    const StereoField field = by.sequence->AddFrom(expected, left, right, frame.index);
+    Place(by, field, angle_rad, frame);
+    const double share = internal::ShareFound(expected, field);
+    if (frame.status == RollingFrameStatus::kPlaced && share >= kAsMany * found_share) {
+      found_share = std::max(found_share, share);
+      return true;
+    }
+    if (frame.status != RollingFrameStatus::kPlaced || share < before + kNoMore) break;
+    before = share;
+    supposed = memory;
+    supposed.Take(frame, TimeOf(frame));
+    angle_rad = supposed.angle_rad();
+    Forget(frame);
+  }
+  Forget(frame);
+  frame.problem.clear();
+  return false;
+}
+
+// Anywhere in the images of the view at this angle.
+void RollingSurvey::Impl::Search(double rough_rad, const GrayImage& left, const GrayImage& right,
+                                 RollingFrame& frame) {
   frame.view = NearestView(wheel, rough_rad);
-  std::optional<StereoField> field;
-  Prepared* by = nullptr;
-  try {
-    by = &Prepare(frame.view);
-    by->sequence->Restart();
-    field = by->sequence->Add(left, right, frame.index);
-  } catch (const InputError& error) {
-    frame.problem = error.what();
+  Prepared& by = Prepare(frame.view);
+  by.sequence->Restart();
+  const StereoField field = by.sequence->Add(left, right, frame.index);
+  Place(by, field, rough_rad, frame);
+  if (frame.status == RollingFrameStatus::kPlaced) {
+    internal::SurfaceMemory supposed = memory;
+    supposed.Take(frame, TimeOf(frame));
+    found_share = internal::ShareFound(Expect(supposed, by, supposed.angle_rad()), field);
+  }
+}
+
+void RollingSurvey::Impl::Find(const GrayImage& left, const GrayImage& right, RollingFrame& frame) {
+  const std::optional<double> foreseen_rad = memory.AngleAt(TimeOf(frame));
+  if (foreseen_rad && Follow(*foreseen_rad, left, right, frame)) return;
+  const WheelPlace place = library.Find(left);
+  if (!place.found) {
+    frame.problem = place.why;
     return;
   }
-  Keep(*by, *field, frame);
+  const double rough_rad = place.candidates.front().angle_rad;
+  if (memory.empty() || !Follow(rough_rad, left, right, frame)) {
+    Search(rough_rad, left, right, frame);
+  }
+}
+
+// What the matches say of where the wheel stands, if they agree.
+void RollingSurvey::Impl::Place(const Prepared& by, const StereoField& field, double rough_rad,
+                                RollingFrame& frame) {
+  Keep(by, field, frame);
   if (frame.points.size() < static_cast<std::size_t>(options.least_points)) {
     frame.problem = fmt::format(
         "only {} points of the wheel's reference image are found in both images, and {} must be: "
@@ -340,7 +347,7 @@ void RollingSurvey::Impl::Match(const GrayImage& left, const GrayImage& right, d
     frame.points.clear();
     return;
   }
-  AddRow(frame, *by, rough_rad);
+  AddRow(frame, by, rough_rad);
   std::vector<double> psi;
   for (const RollingObservation& o : observations.back()) psi.push_back(o.psi_rad);
   frame.measured_angle_rad = Median(psi);
@@ -351,13 +358,21 @@ void RollingSurvey::Impl::Match(const GrayImage& left, const GrayImage& right, d
         "its points do not agree on an angle of the wheel (they scatter by {:.2g} degrees): the "
         "cameras have moved since the wheel's reference was made, or it is of another wheel",
         scatter * 360 / kTurn_rad);
-    frame.measured_angle_rad = RollingFrame::kNone;
-    frame.points.clear();
-    observations.back().clear();
-    psi_along.back().resize(0, static_cast<Eigen::Index>(axes_along.size()));
+    Forget(frame);
     return;
   }
   frame.status = RollingFrameStatus::kPlaced;
+}
+
+// What a frame's points said of it.
+void RollingSurvey::Impl::Forget(RollingFrame& frame) {
+  frame.status = RollingFrameStatus::kNotFound;
+  frame.measured_angle_rad = RollingFrame::kNone;
+  frame.points.clear();
+  frame.right_from_left.reset();
+  frame.right_from_left_moved.clear();
+  observations.back().clear();
+  psi_along.back().resize(0, static_cast<Eigen::Index>(axes_along.size()));
 }
 
 RollingSurvey::RollingSurvey(const WheelReference& wheel, const RollingSurveyOptions& options,
@@ -388,12 +403,12 @@ const RollingFrame& RollingSurvey::Add(std::int64_t index, double time_s, const 
   frame.time_s = time_s;
   impl.observations.emplace_back();
   impl.psi_along.emplace_back(0, static_cast<Eigen::Index>(impl.axes_along.size()));
-  const WheelPlace place = impl.library.Find(left);
-  if (place.found) {
-    impl.Match(left, right, place.candidates.front().angle_rad, frame);
-  } else {
-    frame.problem = place.why;
+  try {
+    impl.Find(left, right, frame);
+  } catch (const InputError& error) {
+    frame.problem = error.what();
   }
+  if (frame.status == RollingFrameStatus::kPlaced) impl.memory.Take(frame, TimeOf(frame));
   impl.frames.push_back(std::move(frame));
   return impl.frames.back();
 }
@@ -405,7 +420,7 @@ void RollingSurvey::Impl::Unwrap() {
   for (std::size_t f = 0; f < frames.size(); ++f) {
     RollingFrame& frame = frames[f];
     if (frame.status != RollingFrameStatus::kPlaced) continue;
-    const double t = std::isfinite(frame.time_s) ? frame.time_s : static_cast<double>(frame.index);
+    const double t = TimeOf(frame);
     double expected = now;
     if (placed > 1 && now_s > before_s) {
       expected += (now - before) / (now_s - before_s) * (t - now_s);
@@ -429,6 +444,7 @@ RollingWheel RollingSurvey::Finish() {
   RollingWheel out;
   out.frames = std::move(impl.frames);
   out.grid = impl.grid;
+  out.first_px = impl.first_px;
   out.spacing_px = impl.spacing_px;
   impl.frames.clear();
   const std::size_t n = out.frames.size();

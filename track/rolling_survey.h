@@ -25,8 +25,8 @@ namespace plumbline {
 
 struct RollingSurveyOptions {
   WheelLibraryOptions library;
-  // How frames are matched with reference images. Subsets are small, since the wide view and the
-  // deformation bend them.
+  // How frames are matched with reference images, at the points that may be kept alone (half a
+  // subset apart at most). Subsets are small: the wide view and the deformation bend them.
   StereoSequenceOptions matching;
   // A frame is placed by so many points that both cameras see, at least; and they must agree in the
   // wheel's angle, up to what deforms it (median deviation).
@@ -57,7 +57,7 @@ struct RollingPoint {
   Eigen::Matrix<float, 6, 1> cov_random_mm2;  // rig frame; xx xy xz yy yz zz
   Eigen::Vector3d undeformed_mm;              // wheel frame
   Eigen::Vector2i at{0, 0};                   // (column, row) on RollingWheel::grid
-  int place = 0;                              // row * columns + column on the view's whole grid
+  int place = 0;                              // row * columns + column, of those matched
 };
 
 // The angle about the wheel's axis of a place in the wheel frame, 0 at the bottom (-z), growing
@@ -94,8 +94,9 @@ struct RollingFrame {
 
 struct RollingWheel {
   std::vector<RollingFrame> frames;
-  ImageSize grid;      // that the frames' points lie on, the same pixels in all reference images
-  int spacing_px = 0;  // of it
+  ImageSize grid;  // that the frames' points lie on, the same pixels in all reference images
+  Eigen::Vector2i first_px{0, 0};
+  int spacing_px = 0;         // of it
   RollingAngles deformation;  // its angles are those measured frame by frame
   // By which all angles may be off together, see RollingObservation. Angles and speeds relative to
   // each other do not depend on it.
@@ -107,11 +108,14 @@ struct RollingWheel {
   int placed() const;
 };
 
-// Takes the frames of a recording in order. Each is found on the wheel by its features
-// (WheelLibrary) and then matched with the view nearest to that angle (StereoSequence), anew every
-// time: a frame's result does not depend on those before. Their points give the angles
-// (FindRollingAngles), these are smoothed (SmoothAngles). A frame that is not found on the wheel is
-// marked and left out; its angle is not guessed, though the smoother could.
+// Takes the frames of a recording in order. Each is matched with the view nearest to its angle
+// (StereoSequence), from where the frames before let expect it: the wheel turning on, the surface
+// pressed in as it was. The first frame, and one that shows too few of the expected points, is
+// found on the wheel by its features (WheelLibrary) and, if need be, searched as a whole. So frames
+// before only tell where to start: all points are matched with the view and verified by themselves.
+// Their points give the angles (FindRollingAngles), these are smoothed (SmoothAngles). A frame that
+// is not found on the wheel is marked and left out; its angle is not guessed, though the smoother
+// could.
 //
 // Memory: about 120 bytes a point kept and what the prepared views take.
 // Calibration: along a mode the points of a frame, those of the reference image, the axis and the

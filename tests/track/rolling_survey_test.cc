@@ -4,6 +4,8 @@
 #include <gtest/gtest.h>
 
 #include <cmath>
+#include <map>
+#include <vector>
 
 #include "calib/error.h"
 #include "tests/track/lifted_wheel.h"
@@ -147,6 +149,43 @@ TEST_F(RollingSurveyOfAnArc, FollowsARightCameraThatVibrates) {
   // One that stands still keeps its pose.
   EXPECT_FALSE(follows.Add(2, 0.2, rolling_->Pair(2).left, rolling_->Pair(2).right)
                    .right_from_left.has_value());
+}
+
+// Frames before only tell where to start.
+TEST_F(RollingSurveyOfAnArc, SaysTheSameOfAFrameWhateverCameBefore) {
+  constexpr double kFrame_s = 0.1;
+  constexpr int kLast = 4;
+  const auto survey = [&](const std::vector<int>& frames) {
+    RollingSurvey following(*reference_, Options());
+    int n = 0;
+    for (const int f : frames) {
+      following.Add(n, n * kFrame_s, rolling_->Pair(f).left, rolling_->Pair(f).right);
+      ++n;
+    }
+    return following.Finish();
+  };
+  const RollingWheel alone = survey({kLast});
+  ASSERT_EQ(alone.placed(), 1);
+  const RollingFrame& searched = alone.frames.front();
+  // After a turn as steady as it gets; and after it jumped, which the last two frames do not
+  // foresee.
+  for (const std::vector<int>& frames : {std::vector{0, 1, 2, 3, kLast}, {3, 0, 1, kLast}}) {
+    const RollingWheel wheel = survey(frames);
+    ASSERT_EQ(wheel.placed(), static_cast<int>(frames.size()));
+    const RollingFrame& frame = wheel.frames.back();
+    ASSERT_EQ(frame.view, searched.view);
+    std::map<int, const RollingPoint*> by_place;
+    for (const RollingPoint& p : searched.points) by_place[p.place] = &p;
+    std::size_t both = 0;
+    for (const RollingPoint& p : frame.points) {
+      const auto there = by_place.find(p.place);
+      if (there == by_place.end()) continue;
+      ++both;
+      EXPECT_LT((p.left_px - there->second->left_px).norm(), 0.01);
+      EXPECT_LT((p.right_px - there->second->right_px).norm(), 0.01);
+    }
+    EXPECT_GE(both, searched.points.size() * 97 / 100);
+  }
 }
 
 TEST_F(RollingSurveyOfAnArc, RefusesOptionsThatMakeNoSense) {
