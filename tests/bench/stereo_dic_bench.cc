@@ -8,7 +8,6 @@
 #include <chrono>
 #include <cmath>
 #include <filesystem>
-#include <fstream>
 #include <random>
 #include <string>
 #include <vector>
@@ -16,6 +15,7 @@
 #include "apps/stereo_run.h"
 #include "io/series_writer.h"
 #include "match/correlate_field.h"
+#include "tests/support/peak_memory.h"
 #include "tests/support/rendered_surface.h"
 
 namespace plumbline {
@@ -162,14 +162,6 @@ void LeftImagesAlone(benchmark::State& state) {
       benchmark::Counter(static_cast<double>(state.iterations()), benchmark::Counter::kIsRate);
 }
 
-long PeakKilobytes() {
-  std::ifstream status("/proc/self/status");
-  for (std::string line; std::getline(status, line);) {
-    if (line.rfind("VmHWM:", 0) == 0) return std::stol(line.substr(6));
-  }
-  return -1;
-}
-
 // The most memory after 50 frames and after 500 (of this process: run it alone).
 void PeakMemory(benchmark::State& state) {
   const Recording& recording = Pairs();
@@ -181,9 +173,9 @@ void PeakMemory(benchmark::State& state) {
     SeriesWriter writer(Output(), header);
     for (std::int64_t frame = 1; frame <= 500; ++frame) {
       writer.Commit(run.Measure(recording.At(frame), frame).frame);
-      if (frame == 50) state.counters["MB at 50"] = static_cast<double>(PeakKilobytes()) / 1024;
+      if (frame == 50) state.counters["MB at 50"] = testing::PeakMegabytes();
     }
-    state.counters["MB at 500"] = static_cast<double>(PeakKilobytes()) / 1024;
+    state.counters["MB at 500"] = testing::PeakMegabytes();
   }
   Clear();
 }
