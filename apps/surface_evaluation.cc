@@ -69,7 +69,7 @@ Eigen::Vector3d Medians(const Image<Eigen::Vector3f>& vectors) {
 
 void SurfaceEvaluationOptions::Check() const {
   ground.Check();
-  strain_options.Check();
+  AdaptiveGaugesOptions{strain_options, smallest_strain_window}.Check();
   if (strain_axes != "material" && strain_axes != "ground") ParseDirection(strain_axes);
   if (!(epipolar.tolerance_px >= 0 && epipolar.sigmas > 0)) {
     throw UsageError("The tolerance of the epipolar distance must not be negative.");
@@ -127,7 +127,7 @@ struct SurfaceEvaluation::Impl {
   GroundRecord ground;
   RigWatchRecord reference_watch;
   SurfaceState at_reference;  // in the frame
-  std::optional<SurfaceGauges> gauges;
+  std::optional<AdaptiveGauges> gauges;
   std::optional<Previous> previous;
 };
 
@@ -171,7 +171,7 @@ SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCo
   }
   if (options.strain) {
     gauges.emplace(at_reference, unit, neighbours, reference.left.step_px, reference.left.subset_px,
-                   options.strain_options);
+                   AdaptiveGaugesOptions{options.strain_options, options.smallest_strain_window});
   }
 }
 
@@ -376,7 +376,8 @@ SeriesHeader SurfaceEvaluation::Header() const {
   }
   if (!impl.gauges) return header;
   const SurfaceStrain at_rest =
-      impl.gauges->Strain(impl.at_reference, impl.reference_surface.status);
+      impl.gauges->Strain(impl.at_reference, impl.reference_surface.status).strain;
+  header.contents.strain_windows = impl.options.smallest_strain_window > 0;
   header.strain_measure = Name(at_rest.measure);
   header.strain_axes = impl.options.strain_axes;
   header.vsg_px = at_rest.vsg_px;

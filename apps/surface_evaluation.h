@@ -11,6 +11,7 @@
 #include "io/series_writer.h"
 #include "match/neighbour_correlation.h"
 #include "match/stereo_sequence.h"
+#include "track/adaptive_gauges.h"
 #include "track/camera_motion.h"
 #include "track/surface_state.h"
 #include "track/surface_strain.h"
@@ -27,10 +28,14 @@ struct SurfaceEvaluationOptions {
   // for in the reference pair. Its modes are those of the rig.
   std::optional<MeasurementFrame> known_frame = {};
   bool strain = true;
-  // x_direction is set from strain_axes.
+  // x_direction is set from strain_axes; with x_around set, those are "material".
   SurfaceStrainOptions strain_options;
-  // The local x axis of strains: "material" (growing columns of the grid), "ground" (x of the frame
-  // that positions are told in) or a direction "x,y,z" in that frame.
+  // Gauges of strain_options' window or, where strain varies, smaller ones, down to this window
+  // (AdaptiveGauges); 0: all have the one window.
+  int smallest_strain_window = 0;
+  // The local x axis of strains: "material" (growing columns of the grid, or x_around of the
+  // options), "ground" (x of the frame that positions are told in) or a direction "x,y,z" in that
+  // frame.
   std::string strain_axes = "material";
   bool remove_rigid_motion = false;
   bool point_covariance = false;

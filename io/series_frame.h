@@ -33,13 +33,14 @@ struct SeriesContents {
   bool wheel = false;
   bool patch = false;
   bool slip = false;
-  bool matches = false;       // /match
-  bool velocity = false;      // /velocity
-  bool rigid_motion = false;  // /rigid_motion
-  bool rig_watch = false;     // /rig_watch
-  bool rig_rotation = false;  // /rig_rotation
-  bool deformation = false;   // /deformation
-  bool material = false;      // /material
+  bool matches = false;         // /match
+  bool velocity = false;        // /velocity
+  bool rigid_motion = false;    // /rigid_motion
+  bool rig_watch = false;       // /rig_watch
+  bool rig_rotation = false;    // /rig_rotation
+  bool deformation = false;     // /deformation
+  bool material = false;        // /material
+  bool strain_windows = false;  // a gauge at each point: /strain/window_points, the model's errors
 
   friend bool operator==(const SeriesContents&, const SeriesContents&) = default;
 };
@@ -153,6 +154,10 @@ struct StrainField {
   Image<Eigen::Vector3f> sigma_random;
   Image<Eigen::Vector3f> sigma_calibration;
   Image<Status> status;
+  // Written where SeriesContents::strain_windows is set: the side of each point's gauge in points,
+  // and one standard deviation of what the polynomial over it leaves out.
+  Image<float> window_points;
+  Image<Eigen::Vector3f> sigma_model;
   // Written where SeriesContents::covariance is set. From independent noise, upper triangle row by
   // row: xx xx, xx yy, xx xy, yy yy, yy xy, xy xy.
   Image<Eigen::Matrix<float, 6, 1>> cov_random;

@@ -54,7 +54,7 @@ class CorrelateCommand : public Command {
   SequenceOptions sequence_;
   std::string reference_mode_ = "fixed";
   bool no_strain_ = false, gradient_covariance_ = false;
-  StrainOptionSet strain_{9};
+  StrainOptionSet strain_;
 };
 
 void CorrelateCommand::Declare(OptionTable& options) {

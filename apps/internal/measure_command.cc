@@ -285,7 +285,7 @@ StereoFrame MeasureCommand::ReferencePair(std::vector<fs::path>* files) const {
 
 StereoRunOptions MeasureCommand::DicOptions(std::uint64_t seed, int bits) const {
   StereoRunOptions options =
-      dic_.Options(seed, bits, step_px_.value_or(8), evaluation_.Options(seed));
+      dic_.Options(seed, bits, step_px_.value_or(8), evaluation_.Options(seed, rolling_.given()));
   if (!roi_.empty()) options.roi = PixelRegion::Parse(roi_);
   if (!mask_.empty()) options.mask = ReadMask(mask_);
   return options;

@@ -51,20 +51,22 @@ void EvaluationOptionSet::Declare(OptionTable& options, StrainOptionSet::Of of) 
   options.Add(
       {.name = "strain-axes",
        .help = "what the local x axis of strains follows: material (columns of the image; of a "
-               "rolling tyre, the direction of rolling), "
+               "rolling tyre, around the wheel), "
                "ground (x of the positions' frame) or a direction in that frame",
        .unit = "NAME|X,Y,Z"},
       &strain_axes_);
 }
 
-SurfaceEvaluationOptions EvaluationOptionSet::Options(std::uint64_t seed) const {
+SurfaceEvaluationOptions EvaluationOptionSet::Options(std::uint64_t seed, bool rolling_tyre) const {
   SurfaceEvaluationOptions options;
   options.epipolar = epipolar_;
   options.ground = ground_;
   options.ground.seed = seed;
   options.turn_into_ground_frame = in_ground_frame();
   options.strain = !no_strain_;
-  options.strain_options = strain_.OptionsOfSurface();
+  const AdaptiveGaugesOptions gauges = strain_.OptionsOfSurface(rolling_tyre);
+  options.strain_options = gauges.gauge;
+  options.smallest_strain_window = gauges.smallest_window_points;
   options.strain_axes = strain_axes_;
   options.remove_rigid_motion = remove_rigid_motion_;
   options.point_covariance = point_covariance_;

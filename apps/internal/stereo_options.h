@@ -18,7 +18,8 @@ class EvaluationOptionSet {
  public:
   // of: StrainOptionSet::Of::kEither where the command takes planar runs too.
   void Declare(OptionTable& options, StrainOptionSet::Of of = StrainOptionSet::Of::kSurface);
-  SurfaceEvaluationOptions Options(std::uint64_t seed) const;  // throws UsageError
+  // rolling_tyre: see StrainOptionSet. Throws UsageError.
+  SurfaceEvaluationOptions Options(std::uint64_t seed, bool rolling_tyre = false) const;
 
   // The options of the plane, and whether positions are told in its frame, are declared apart:
   // measure has them for all matchers.
@@ -34,7 +35,7 @@ class EvaluationOptionSet {
   std::string frame_ = "ground";
   bool point_covariance_ = false;
   EpipolarOptions epipolar_;
-  StrainOptionSet strain_{9};
+  StrainOptionSet strain_;
   bool no_strain_ = false, remove_rigid_motion_ = false;
   std::string strain_axes_ = "material", refine_pose_ = "off";
 };

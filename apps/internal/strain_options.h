@@ -1,11 +1,12 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 
 #include "apps/internal/option_table.h"
+#include "track/adaptive_gauges.h"
 #include "track/planar_strain.h"
-#include "track/surface_strain.h"
 
 namespace plumbline::internal {
 
@@ -15,13 +16,14 @@ class StrainOptionSet {
   // What strain is worked out of: a gauge of one point is that of a planar subset alone.
   enum class Of : std::uint8_t { kPlanar, kSurface, kEither };
 
-  explicit StrainOptionSet(int window_points) { options_.window_points = window_points; }
-
   void Declare(OptionTable& options, Of of);
-  PlanarStrainOptions Options() const;            // throws UsageError
-  SurfaceStrainOptions OptionsOfSurface() const;  // throws UsageError
+  PlanarStrainOptions Options() const;  // throws UsageError
+  // Of a surface. rolling_tyre: what is not given is then what suits its curved, uneven strain
+  // (docs/rolling_tyre.md). Throws UsageError.
+  AdaptiveGaugesOptions OptionsOfSurface(bool rolling_tyre = false) const;
 
  private:
+  std::optional<int> window_points_, order_, smallest_window_points_;
   PlanarStrainOptions options_;
   std::string measure_ = "green_lagrange", weights_ = "equal";
 };

@@ -131,8 +131,11 @@ RigidMotionRecord RigidRecordOf(const SurfaceRigidMotion& rigid) {
   return record;
 }
 
-StrainField StrainRecordOf(SurfaceStrain strain) {
+StrainField StrainRecordOf(AdaptiveStrain adaptive) {
   StrainField out;
+  SurfaceStrain& strain = adaptive.strain;
+  out.window_points = std::move(adaptive.window_points);
+  out.sigma_model = std::move(adaptive.sigma_model);
   out.sigma_random = Image<Eigen::Vector3f>(strain.size(), kNoVector);
   ForEachIndex(strain.strain.pixel_count(), [&](std::size_t i) {
     out.sigma_random.data()[i] = SigmaOf(strain.cov_strain.data()[i]);
@@ -167,6 +170,7 @@ void ForgetNoise(StrainField& strain) {
     strain.sigma_random.data()[i].setZero();
     strain.sigma_calibration.data()[i].setZero();
     strain.cov_random.data()[i].setZero();
+    if (!strain.sigma_model.empty()) strain.sigma_model.data()[i].setZero();
   }
   const auto none = [](auto&... images) { ((images = {}), ...); };
   none(strain.sigma_random_principal, strain.sigma_calibration_principal,

@@ -2,9 +2,9 @@
 
 #include "io/series_frame.h"
 #include "match/stereo_sequence.h"
+#include "track/adaptive_gauges.h"
 #include "track/surface_motion.h"
 #include "track/surface_state.h"
-#include "track/surface_strain.h"
 
 // What a series holds, from what was measured.
 namespace plumbline::internal {
@@ -17,7 +17,7 @@ MatchField MatchRecordOf(const StereoField& field);
 DisplacementField DisplacementRecordOf(const SurfaceMotion& motion);
 VelocityField VelocityRecordOf(const SurfaceMotion& motion, double seconds);
 RigidMotionRecord RigidRecordOf(const SurfaceRigidMotion& rigid);
-StrainField StrainRecordOf(SurfaceStrain strain);
+StrainField StrainRecordOf(AdaptiveStrain adaptive);
 
 // The reference pair, which has not moved by definition: zero, without error, at its valid points.
 DisplacementField AtRest(const Image<Status>& status);

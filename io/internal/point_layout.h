@@ -59,6 +59,9 @@ enum class PointPart : std::uint8_t {
   kRightCovariance,
   kShare,
   kRightShare,
+  // Of a strain gauge that each point has for itself.
+  kModel,
+  kWindow,
 };
 
 enum class PointType : std::uint8_t { kFloat, kDouble, kByte, kStatus };

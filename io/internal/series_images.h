@@ -42,6 +42,10 @@ void VisitStrain(S& strain, PointPart part, const Visit& visit) {
       return visit(strain.status);
     case PointPart::kCovariance:
       return visit(strain.cov_random);
+    case PointPart::kModel:
+      return visit(strain.sigma_model);
+    case PointPart::kWindow:
+      return visit(strain.window_points);
     case PointPart::kPrincipalRandom:
       return visit(strain.sigma_random_principal);
     case PointPart::kPrincipalCalibration:

@@ -24,7 +24,8 @@ constexpr std::uint32_t kAlways = 0, kWithCovariance = BitOf(&SeriesContents::co
                         kSlipped = BitOf(&SeriesContents::slip),
                         kMoving = BitOf(&SeriesContents::velocity),
                         kMatched = BitOf(&SeriesContents::matches),
-                        kOfMaterial = BitOf(&SeriesContents::material);
+                        kOfMaterial = BitOf(&SeriesContents::material),
+                        kOfWindows = BitOf(&SeriesContents::strain_windows);
 
 constexpr std::array<PointGroupFacts, kPointGroupCount> kGroups = {{
     {"/surface", "position", "position", kAlways, true, true},
@@ -123,6 +124,11 @@ constexpr std::array kFields = {
     Renamed({kStrain, Part::kCombined, "/strain/value_errors", &kPlaneTensor, "1", kCombinedSigma,
              kStrained},
             "/strain/green_lagrange_errors"),
+    New({kStrain, Part::kModel, "/strain/value_errors_model", &kPlaneTensor, "1",
+         "standard deviation of what the polynomial over the gauge leaves out",
+         kStrained | kOfWindows}),
+    New({kStrain, Part::kWindow, "/strain/window_points", &kOneNumber, "1",
+         "side of the point's strain gauge, in points of the grid", kStrained | kOfWindows}),
     New({kStrain, Part::kCovariance, "/strain/covariance", &kStrainTensor, "1",
          "random covariance of the strain, upper triangle row by row",
          kStrained | kWithCovariance}),
@@ -220,7 +226,7 @@ class StereoSource : public PointSource {
       VisitImage(frame_, FieldOf(field.group, (*sigmas)[0]), [&](const auto& a) {
         VisitImage(frame_, FieldOf(field.group, (*sigmas)[1]), [&](const auto& b) {
           if constexpr (std::is_same_v<decltype(a), decltype(b)>) {
-            put([&](std::size_t i) { return Combined(a, b, i); });
+            put([&](std::size_t i) { return Combined(field, a, b, i); });
           }
         });
       });
@@ -253,9 +259,15 @@ class StereoSource : public PointSource {
 
  private:
   template <typename Element>
-  static auto Combined(const Image<Element>& a, const Image<Element>& b, std::size_t i) {
+  auto Combined(const PointField& field, const Image<Element>& a, const Image<Element>& b,
+                std::size_t i) const {
     const auto random = Numbers(a.data()[i]), calibration = Numbers(b.data()[i]);
-    return (random.cwiseAbs2() + calibration.cwiseAbs2()).cwiseSqrt().eval();
+    auto variance = (random.cwiseAbs2() + calibration.cwiseAbs2()).eval();
+    if constexpr (std::is_same_v<Element, Eigen::Vector3f>) {
+      const Image<Eigen::Vector3f>& model = frame_.strain.sigma_model;
+      if (field.group == kStrain && !model.empty()) variance += model.data()[i].cwiseAbs2();
+    }
+    return variance.cwiseSqrt().eval();
   }
 
   const Eigen::Vector3f& Strain(std::size_t i) const { return frame_.strain.value.data()[i]; }

@@ -16,7 +16,7 @@ namespace plumbline::internal {
 using ContentFlag = bool SeriesContents::*;
 template <>
 struct OptionalContents<SeriesContents> {
-  static constexpr std::array<OptionalContent<SeriesContents>, 13> list = {{
+  static constexpr std::array<OptionalContent<SeriesContents>, 14> list = {{
       {"covariance", "/surface/covariance", &SeriesContents::covariance},
       {"displacement", "/displacement", &SeriesContents::displacement},
       {"strain", "/strain", &SeriesContents::strain},
@@ -30,6 +30,7 @@ struct OptionalContents<SeriesContents> {
       {"rig_rotation", "/rig_rotation", &SeriesContents::rig_rotation},
       {"deformation", "/deformation", &SeriesContents::deformation},
       {"material", "/material", &SeriesContents::material},
+      {"strain_windows", "/strain/window_points", &SeriesContents::strain_windows},
   }};
 };
 

@@ -179,6 +179,8 @@ inline void ExpectSameStrain(const StrainField& a, const StrainField& b) {
   ExpectSamePoints(a.value, b.value);
   ExpectSamePoints(a.sigma_random, b.sigma_random);
   ExpectSamePoints(a.sigma_calibration, b.sigma_calibration);
+  ExpectSamePoints(a.sigma_model, b.sigma_model);
+  ExpectSameOrNaN(a.window_points, b.window_points);
   ExpectSamePoints(a.cov_random, b.cov_random);
   ExpectSameBits(a.status, b.status);
   ExpectSameOrNaN(a.sigma_random_principal, b.sigma_random_principal);

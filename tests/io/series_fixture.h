@@ -84,7 +84,8 @@ inline SeriesFrame SmallFrame(std::int64_t i, ImageSize grid = {7, 5}) {
 // A header with every optional group.
 inline SeriesHeader FullHeader(ImageSize grid = {7, 5}) {
   SeriesHeader header = SmallHeader(grid);
-  header.contents = {true, true, true, true, true, true, true, true, true, true, true, true, true};
+  header.contents = {true, true, true, true, true, true, true,
+                     true, true, true, true, true, true, true};
   header.grid_points = "material";
   header.displacement_reference = "frame 10";
   header.rigid_motion_removed = true;
@@ -122,7 +123,8 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
   m.left_cov_px2 = m.right_cov_px2 = none;
   v.value_mm_s = v.sigma_random_mm_s = v.sigma_calibration_mm_s = none;
   u.value_mm = u.sigma_random_mm = u.sigma_calibration_mm = frame.material.position_mm = none;
-  e.value = e.sigma_random = e.sigma_calibration = none;
+  e.value = e.sigma_random = e.sigma_calibration = e.sigma_model = none;
+  e.window_points = Image<float>(grid, std::numeric_limits<float>::quiet_NaN());
   slip.velocity_mm_s = slip.sigma_random_mm_s = slip.sigma_calibration_mm_s = none;
   for (std::size_t k = 0; k < none.pixel_count(); ++k) {
     if (k == 1) e.status.data()[k] = Status::kExtrapolated;
@@ -135,6 +137,8 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
     e.value.data()[k] = Eigen::Vector3f(1e-3f * p.x(), -2e-3f, 5e-4f * p.y());
     e.sigma_random.data()[k].setConstant(1e-4f);
     e.sigma_calibration.data()[k].setConstant(2e-4f);
+    e.sigma_model.data()[k].setConstant(2e-4f);
+    e.window_points.data()[k] = static_cast<float>(5 + 2 * k);
     e.cov_random.data()[k] << 1e-8f, 1e-9f, -1e-9f, 1e-8f, 2e-9f, 1e-8f;
     e.sigma_random_principal.data()[k] = Eigen::Vector2f(1e-4f, 2e-4f);
     e.sigma_calibration_principal.data()[k] = Eigen::Vector2f(3e-4f, 4e-4f);

@@ -110,10 +110,11 @@ TEST(SeriesGroups, AreEachOptional) {
         &SeriesContents::wheel, &SeriesContents::patch, &SeriesContents::slip,
         &SeriesContents::matches, &SeriesContents::velocity, &SeriesContents::rigid_motion,
         &SeriesContents::rig_watch, &SeriesContents::rig_rotation, &SeriesContents::deformation,
-        &SeriesContents::material}) {
+        &SeriesContents::material, &SeriesContents::strain_windows}) {
     SeriesHeader header = SmallHeader();
     header.contents.*flag = true;
-    const fs::path file = folder / (Names(header.contents).at(0) + ".h5");
+    if (header.contents.strain_windows) header.contents.strain = true;
+    const fs::path file = folder / (Names(header.contents).back() + ".h5");
     Write(file, header, {FullFrame(0)});  // which holds more than is to be written
     const SeriesReader reader(file);
     EXPECT_EQ(reader.contents(), header.contents);
@@ -125,6 +126,8 @@ TEST(SeriesGroups, AreEachOptional) {
     EXPECT_EQ(!frame.velocity.value_mm_s.empty(), header.contents.velocity);
     EXPECT_EQ(!frame.material.position_mm.empty(), header.contents.material);
     EXPECT_EQ(!frame.strain.status.empty(), header.contents.strain);
+    EXPECT_EQ(!frame.strain.window_points.empty(), header.contents.strain_windows);
+    EXPECT_EQ(!frame.strain.sigma_model.empty(), header.contents.strain_windows);
     EXPECT_EQ(frame.rigid_motion.found, header.contents.rigid_motion);
     EXPECT_EQ(frame.rig_watch.found, header.contents.rig_watch);
     EXPECT_EQ(frame.rig_rotation.found, header.contents.rig_rotation);

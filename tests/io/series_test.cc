@@ -318,7 +318,8 @@ for n in ('surface/position', 'displacement/value', 'strain/value', 'strain/prin
           'deformation/longitudinal_mm', 'deformation/lateral_mm', 'deformation/radial_mm'):
     v, a, b, e = (f[n + x][:] for x in ('', '_errors_random', '_errors_calibration', '_errors'))
     assert v.shape == a.shape == b.shape == e.shape, n
-    np.testing.assert_allclose(e, np.hypot(a, b), rtol=1e-6)
+    left_out = f[n + '_errors_model'][:] if n == 'strain/value' else 0
+    np.testing.assert_allclose(e, np.sqrt(a**2 + b**2 + left_out**2), rtol=1e-6)
     assert np.isfinite(e).any() == (n not in ('wheel/speed', 'strain/angle', 'strain/max_shear', 'slip/ratio_by_channel', 'deformation/deflection_mm')), n
 for g in ('surface', 'displacement', 'slip', 'velocity', 'rigid_motion'): assert f[g].attrs['frame'] == 'ground'
 assert f['grid'].attrs['points'] == 'material' and f['displacement'].attrs['reference'] == 'frame 10'
@@ -338,7 +339,7 @@ np.testing.assert_allclose(f['strain/von_mises'][2, 4, 4], np.sqrt(2 / 3 * (full
 ok = s[2] == 0
 ok[0, 1] = False
 assert np.array_equal(f['strain/status'][2] == 0, ok) and f['strain/status'][2, 0, 1] == 10
-for n in ('covariance', 'max_shear', 'von_mises_errors_random', 'principal_errors'):
+for n in ('covariance', 'window_points', 'value_errors_model', 'max_shear', 'von_mises_errors_random', 'principal_errors'):
     v = f['strain/' + n][2].reshape(5, 7, -1)
     assert np.array_equal(np.isfinite(v).all(-1), ok), n
 m = f['match']
