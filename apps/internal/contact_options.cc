@@ -122,8 +122,8 @@ void ContactOptionSet::Declare(OptionTable& options) {
                .max = 1e3},
               &vehicle_speed_sigma_m_s_);
   options.Add({.name = "wheel-speed",
-               .help = "channel of --channels with the wheel's speed: what tells the offset of the "
-                       "logger's clock where --channel-offset does not"},
+               .help = "channel of --channels with the wheel's speed: tells the offset of the "
+                       "logger's clock, with --channel-offset within 0.3 s of that"},
               &wheel_speed_);
   options.Add({.name = "slip-convention",
                .help = "signs and definitions of slip (docs/theory.md)",
@@ -172,28 +172,40 @@ std::string ContactOptionSet::AddChannels(const RollingWheel& rolling,
                                           RollingContactOptions* options) const {
   CheckChannels(*channels);
   std::string found;
-  if (!wheel_speed_.empty() && !std::isfinite(channels->front().clock_offset_s)) {
+  if (!wheel_speed_.empty()) {
     const Channel& theirs = Named(*channels, wheel_speed_);
-    SampledSignal ours;
+    // About what is known of it, which tells the periods of a speed that swings apart.
+    constexpr double kAbout_s = 0.3;
+    const bool known = std::isfinite(theirs.clock_offset_s);
+    const double about_s = known ? theirs.clock_offset_s : 0;
+    SampledSignal ours, logged{theirs.time_s, theirs.value};
+    for (double& time_s : logged.time_s) time_s -= about_s;
     for (const RollingFrame& frame : rolling.frames) {
       if (!std::isfinite(frame.speed_rad_s)) continue;
       ours.time_s.push_back(frame.time_s);
       ours.value.push_back(frame.speed_rad_s);
     }
+    ClockOffsetOptions search;
+    if (known) search.most_s = kAbout_s;
     try {
-      const ClockOffset clock = FindClockOffset(ours, {theirs.time_s, theirs.value});
+      const ClockOffset clock = FindClockOffset(ours, logged, search);
       for (Channel& channel : *channels) {
-        channel.clock_offset_s = clock.offset_s;
+        channel.clock_offset_s = about_s + clock.offset_s;
         channel.sigma_clock_offset_s = clock.sigma_s;
       }
       found = fmt::format(
           "By the wheel's speed the logger's clock reads {:.4f} s when that of the frames is 0, "
           "sigma {:.1g} s.",
-          clock.offset_s, clock.sigma_s);
+          about_s + clock.offset_s, clock.sigma_s);
     } catch (const InputError& error) {
-      return fmt::format(
-          "The logger's clock stays unknown, and there is no slip by its channel: {}",
-          error.what());
+      if (!known) {
+        return fmt::format(
+            "The logger's clock stays unknown, and there is no slip by its channel; with "
+            "--channel-offset the offset is looked for near that: {}",
+            error.what());
+      }
+      found = fmt::format("The offset of the logger's clock is that of --channel-offset: {}",
+                          error.what());
     }
   }
   if (vehicle_speed_.empty()) return found;

@@ -27,10 +27,10 @@ class ContactOptionSet {
   // of a speed, and where nothing would tell the logger's clock.
   void CheckChannels(const std::vector<Channel>& channels) const;
 
-  // The vehicle's speed out of the channels, on our clock. Where that is not said it follows from
-  // the wheel's speed, and is written into the channels, which are of one logger. Says in a
-  // sentence what was found, or that the clocks could not be told apart: there is no slip by the
-  // channel then. Empty: there was nothing to find.
+  // The vehicle's speed out of the channels, on our clock. The offset of the logger's follows from
+  // the wheel's speed where a channel has it, near the one that is said, and is written into the
+  // channels, which are of one logger. Says in a sentence what was found, or why it was not:
+  // without any offset there is no slip by the channel. Empty: there was nothing to find.
   std::string AddChannels(const RollingWheel& rolling, std::vector<Channel>* channels,
                           RollingContactOptions* options) const;
 
