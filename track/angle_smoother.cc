@@ -190,6 +190,35 @@ void FindOutliers(Series& series, const std::optional<double>& q, double most_si
   }
 }
 
+// Frames that are left out in a row do not err independently of each other: rather the motion has
+// changed, which a noise that suits the rest does not allow. They count again where under the
+// likeliest noise with them nothing contradicts them.
+void TakeBackRuns(Series& series, double most_sigmas, std::vector<SmoothedAngle>& frames,
+                  const std::vector<double>& variances) {
+  constexpr std::size_t kRun = 3;
+  Series with = series;
+  std::vector<std::size_t> run, taken;
+  for (std::size_t i = 0; i <= frames.size(); ++i) {
+    if (i < frames.size() && !std::isfinite(variances[i])) continue;
+    if (i < frames.size() && frames[i].outlier) {
+      run.push_back(i);
+      continue;
+    }
+    if (run.size() >= kRun) taken.insert(taken.end(), run.begin(), run.end());
+    run.clear();
+  }
+  if (taken.empty()) return;
+  for (const std::size_t i : taken) with.variance[i] = variances[i];
+  std::vector<SmoothedAngle> again(frames.size());
+  Series checked = with;
+  FindOutliers(checked, LikelyNoise(with), most_sigmas, again);
+  const bool holds =
+      std::none_of(again.begin(), again.end(), [](const auto& f) { return f.outlier; });
+  if (!holds) return;
+  series = std::move(with);
+  for (const std::size_t i : taken) frames[i].outlier = false;
+}
+
 // Less a straight line through them, so that what is left is small.
 struct Line {
   double at_0 = 0, slope = 0;
@@ -282,7 +311,9 @@ SmoothedAngles SmoothAngles(std::span<const double> times_s, std::span<const dou
     q = std::max(*options.jerk_rad_s25 * *options.jerk_rad_s25 * per_frame,
                  std::pow(10, kLowest) * MedianVariance(series));
   }
+  const std::vector<double> variances = series.variance;
   FindOutliers(series, q, options.outlier_sigmas, out.frames);
+  if (!q) TakeBackRuns(series, options.outlier_sigmas, out.frames, variances);
   if (!q) q = LikelyNoise(series);
   out.scatter = ScatterOf(Smooth(series, *q));
   for (double& v : series.variance) v *= out.scatter * out.scatter;

@@ -51,6 +51,27 @@ struct Turning {
   }
 };
 
+// 20 frames in which the wheel speeds up and slows down again, with angles as sure as images give
+// them: the last ones are no outliers because the first ones turned evenly.
+TEST(AngleSmoother, AChangeOfSpeedIsNoOutlier) {
+  std::mt19937 rng(4);
+  std::normal_distribution<double> n(0, 1);
+  constexpr double kSure_rad = 1e-6;
+  std::vector<double> time_s, truth_rad, angle_rad;
+  for (int f = 0; f < 20; ++f) {
+    const double t = 0.02 * f, w = 2 * std::numbers::pi;
+    time_s.push_back(t);
+    truth_rad.push_back(3.6 * t - 0.514 / w * std::cos(w * t));
+    angle_rad.push_back(truth_rad.back() + kSure_rad * n(rng));
+  }
+  const std::vector<double> sigma_rad(20, kSure_rad);
+  const SmoothedAngles smooth = SmoothAngles(time_s, angle_rad, sigma_rad, {}, {});
+  for (std::size_t f = 0; f < time_s.size(); ++f) {
+    EXPECT_FALSE(smooth.frames[f].outlier) << f;
+    EXPECT_LT(std::abs(smooth.frames[f].angle_rad - truth_rad[f]), 5 * kSure_rad) << f;
+  }
+}
+
 TEST(AngleSmoother, SigmasAreConsistent) {
   double angle = 0, speed = 0, inside = 0, count = 0, error = 0, raw = 0;
   constexpr int kDraws = 60;
