@@ -1,12 +1,15 @@
 #include "apps/run_comparison.h"
 
+#include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
 #include <cmath>
-#include <functional>
+#include <nlohmann/json.hpp>
 #include <random>
 
 #include "calib/error.h"
+#include "tests/io/series_fixture.h"
+#include "tests/support/plumbline_command.h"
 
 namespace plumbline {
 namespace {
@@ -133,6 +136,47 @@ TEST(RunComparison, PairsFramesAtTheSamePlaceOfTheGround) {
   EXPECT_EQ(pairs[0].other, 3);
   EXPECT_NEAR(pairs[0].ahead_mm, 61 - 35 - 28, 1e-12);
   EXPECT_EQ(PairByTravel(run, other, 35, 10).size(), 2U);  // the first one 10 mm ahead
+}
+
+std::string RunOf(const char* name, const SeriesFrame& measured, SurfaceFrame told_in) {
+  const auto file = testing::TestFolder() / name;
+  SeriesWriter writer(file, testing::SmallHeader(kGrid));
+  SeriesFrame frame = testing::SmallFrame(0, kGrid);
+  frame.index = 7;
+  frame.surface.status = measured.surface.status;
+  frame.surface.position_mm = measured.surface.position_mm;
+  frame.surface.sigma_random_mm = measured.surface.sigma_random_mm;
+  frame.surface.sigma_calibration_mm = measured.surface.sigma_calibration_mm;
+  frame.surface.correlation = frame.surface.epipolar_px = Image<float>(kGrid, 0.5F);
+  frame.surface.frame = told_in;
+  writer.Commit(frame);
+  writer.Close();
+  return file.string();
+}
+
+TEST(RunComparison, IsACommandForTwoFiles) {
+  const std::string run = RunOf("run.h5", FrameOff({0.3, 1e-3, -2e-3}), SurfaceFrame::kGround);
+  const std::string other = RunOf("other.h5", FrameOff(), SurfaceFrame::kGround);
+  const std::string in_rig = RunOf("in_rig.h5", FrameOff(), SurfaceFrame::kRig);
+  const auto table = testing::TestFolder() / "differences.csv";
+  const auto told =
+      testing::RunPlumbline("compare " + run + " " + other + " --json -q -o " + table.string());
+  ASSERT_EQ(told.exit_code, 0) << told.output;
+  const auto json = nlohmann::json::parse(told.output);
+  ASSERT_EQ(json.at("frames").size(), 1U);
+  EXPECT_EQ(json["frames"][0].at("index"), 7);
+  EXPECT_NEAR(json["frames"][0].at("offset_mm").get<double>(), 0.3, 1e-4);
+  EXPECT_TRUE(std::filesystem::exists(table));
+  const auto refused = [&](const std::string& arguments, int exit_code, const char* why) {
+    const auto result = testing::RunPlumbline("compare " + run + " " + arguments);
+    EXPECT_EQ(result.exit_code, exit_code) << result.output;
+    EXPECT_THAT(result.output, ::testing::HasSubstr(why));
+  };
+  refused(in_rig, 3, "not in a ground frame");
+  refused(other + " --other-frame 0", 2, "--other-frame goes with --frame");
+  refused(other + " --frame 3", 2, "has 1 frames");
+  refused(other + " --shift 10", 3, "is not known");  // neither tells its speed
+  refused(testing::TestFolder().string() + " --shift 10", 2, "are for two runs");
 }
 
 }  // namespace
