@@ -164,9 +164,9 @@ std::vector<std::string> RollingRun::Notes() const {
     });
     if (obstacles > 0) {
       notes.push_back(fmt::format(
-          "In {} frames the contact is not that of flat ground. The wheel's turn is told there by "
-          "what of the surface stands still before and behind the contact; what draws all of it "
-          "along cannot be told from a turn.",
+          "In {} frames the law of lift-off does not hold, as over an obstacle. The wheel's turn "
+          "is told there by what of the surface stands still before and behind the contact; what "
+          "draws all of it along cannot be told from a turn.",
           obstacles));
     }
   }

@@ -12,6 +12,7 @@
 #include "calib/mode_triangulation.h"
 #include "match/neighbour_correlation.h"
 #include "track/internal/axis_along_modes.h"
+#include "track/internal/turning_over_ground.h"
 
 namespace plumbline {
 namespace {
@@ -49,26 +50,6 @@ Eigen::Matrix<double, 6, 3> FrameAlongPose(const RigPose& pose, const WheelAxis&
     J.col(k) << moved.RotationVector() / kStep, moved.translation_mm / kStep;
   }
   return J;
-}
-
-// The speed at which the wheel turns over the ground: the one that the rig sees, less that at which
-// the ground turns in the rig, between two frames.
-MeasuredScalar OverTheGround(const RollingFrame& frame, const Eigen::MatrixXd& speed_along_modes,
-                             std::size_t f, const RigRotationFrame& from,
-                             const RigRotationFrame& to) {
-  const double time_s = to.time_s - from.time_s;
-  MeasuredScalar speed;
-  speed.value = frame.speed_rad_s - (to.pose[0] - from.pose[0]) / time_s;
-  const double a = from.sigma_random[0], b = to.sigma_random[0];
-  const double turned = std::sqrt(std::max(0.0, a * a + b * b - 2 * kAlike * a * b));
-  speed.sigma_random = std::hypot(frame.sigma_random_rad_s, turned / time_s);
-  speed.along_modes = speed_along_modes.col(static_cast<Eigen::Index>(f));
-  for (Eigen::Index k = 0; k < speed.along_modes.size(); ++k) {
-    const auto mode = static_cast<std::size_t>(k);
-    if (mode >= from.along_modes.size()) break;  // the pose was given by hand
-    speed.along_modes[k] -= (to.along_modes[mode][0] - from.along_modes[mode][0]) / time_s;
-  }
-  return speed;
 }
 
 // Even-odd rule over all outlines: holes are outside.
@@ -397,18 +378,16 @@ void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContact
   wheel.axis = reference_.axis;
   wheel.cov_axis_random = reference_.cov_axis_random;
   wheel.axis_along_modes = reference_.axis_along_modes;
-  const RollingFrame& frame = rolling_.frames[f];
-  const auto ground_of = [&](const MaterialFrame* beside, std::size_t at) {
-    return &contact->frames[beside == nullptr ? f : at].rotation;
-  };
+  const std::size_t first = frames.before != nullptr ? f - 1 : f;
+  const std::size_t last = frames.after != nullptr ? f + 1 : f;
   wheel.speed_rad_s =
-      OverTheGround(frame, rolling_.speed_along_modes_rad_s, f, *ground_of(frames.before, f - 1),
-                    *ground_of(frames.after, f + 1));
+      internal::TurningOverGround(rolling_, first, f, last, contact->frames[first].rotation,
+                                  contact->frames[last].rotation, kAlike);
   std::optional<MeasuredScalar> channel;
   if (options_.vehicle_speed_mm_s) {
-    const double averaging = (frames.after != nullptr ? frames.after : frames.now)->time_s -
-                             (frames.before != nullptr ? frames.before : frames.now)->time_s;
-    channel = SpeedFromChannel(*options_.vehicle_speed_mm_s, frame.time_s, averaging,
+    const double from_s = TimeOf(first), to_s = TimeOf(last);
+    const double middle_s = first < f && f < last ? TimeOf(f) : (from_s + to_s) / 2;
+    channel = SpeedFromChannel(*options_.vehicle_speed_mm_s, middle_s, to_s - from_s,
                                options_.channel_clock, options_.sigma_vehicle_speed_mm_s);
   }
   const Eigen::Vector3f none = Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN());
@@ -424,6 +403,11 @@ void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContact
   }
   out->slip = MeasureSlip(velocity, frames, wheel, frames.now->contact, neighbours_,
                           options_.free_rolling_radius_mm, channel, options_.slip);
+  // From one neighbour alone the velocity is that of half-way to it, where the wheel turned faster
+  // or slower in the same proportion.
+  const double since = internal::SpeedSince(rolling_, first, f, last);
+  out->slip.speed_mm_s.value *= since;
+  out->slip.velocity_mm_s *= since;
 }
 
 RollingContact ContactOfRun::Find() {

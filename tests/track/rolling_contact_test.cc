@@ -8,6 +8,7 @@
 #include "calib/error.h"
 #include "io/virtual_rig/tyre_patch.h"
 #include "tests/track/lifted_wheel.h"
+#include "track/internal/turning_over_ground.h"
 
 namespace plumbline {
 namespace {
@@ -106,6 +107,30 @@ TEST_F(RollingContactOfAnArc, TellsGroundDeformationPatchAndSlipOfEveryFrame) {
     EXPECT_NEAR(frame.slip.ratio.value, -0.03, 0.003);
     EXPECT_GT(frame.slip.sticking, 20);
   }
+}
+
+TEST_F(RollingContactOfAnArc, TheEndsOfARecordingHaveTheSpeedOfTheirOwnMoment) {
+  // As if the wheel had been slower in the first frame by a tenth: half-way to the second one it
+  // went as the material says.
+  RollingWheel slower = *survey_;
+  const RollingContact even = FindRollingContact(*reference_, *survey_, Options());
+  const double omega = slower.frames[1].speed_rad_s;
+  slower.frames[0].speed_rad_s = 0.9 * omega;
+  const RollingContact found = FindRollingContact(*reference_, slower, Options());
+  const RollingSlip &then = even.frames[0].slip, &now = found.frames[0].slip;
+  ASSERT_TRUE(now.found);
+  EXPECT_NEAR(now.speed_mm_s.value, then.speed_mm_s.value * 0.9 / 0.95,
+              1e-3 * then.speed_mm_s.value);
+  EXPECT_NEAR(now.effective_radius_mm.value, then.effective_radius_mm.value / 0.95,
+              1e-3 * then.effective_radius_mm.value);
+  EXPECT_EQ(found.frames[2].slip.speed_mm_s.value, even.frames[2].slip.speed_mm_s.value);
+  // An arm that swings turns the ground in the rig, not the wheel over the ground.
+  RigRotationFrame from, to;
+  from.time_s = 0;
+  to.time_s = 0.1;
+  to.pose[0] = 0.02;
+  const MeasuredScalar turning = internal::TurningOverGround(*survey_, 1, 2, 3, from, to, 0.9);
+  EXPECT_NEAR(turning.value, survey_->frames[2].speed_rad_s - 0.2, 1e-12);
 }
 
 TEST_F(RollingContactOfAnArc, StandsAsTheUserSays) {
