@@ -405,9 +405,11 @@ void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContact
                           options_.free_rolling_radius_mm, channel, options_.slip);
   // From one neighbour alone the velocity is that of half-way to it, where the wheel turned faster
   // or slower in the same proportion.
-  const double since = internal::SpeedSince(rolling_, first, f, last);
-  out->slip.speed_mm_s.value *= since;
-  out->slip.velocity_mm_s *= since;
+  const internal::SpeedRatio since = internal::SpeedSince(rolling_, first, f, last);
+  MeasuredScalar& speed = out->slip.speed_mm_s;
+  speed.value *= since.value;
+  speed.sigma_random = std::hypot(speed.sigma_random, speed.value * since.sigma);
+  out->slip.velocity_mm_s *= since.value;
 }
 
 RollingContact ContactOfRun::Find() {

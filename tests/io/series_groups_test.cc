@@ -304,15 +304,15 @@ TEST(SeriesGroups, AreNamedInTheSummary) {
   Write(file, header, {FullFrame(0)});
   EXPECT_THAT(
       Inspect(file).Text(),
-      HasSubstr(
-          "also holds: covariance, displacement, strain, patch, slip, matches, velocity, "
-          "rigid_motion, rig_watch, rig_rotation, deformation, material, channels (Fz, empty)\n"));
+      HasSubstr("also holds: covariance, displacement, strain, patch, slip, matches, velocity, "
+                "rigid_motion, rig_watch, rig_rotation, deformation, material, strain_windows, "
+                "channels (Fz, empty)\n"));
   Write(TestFolder() / "plain.h5", SmallHeader(), {SmallFrame(0)});
   EXPECT_THAT(Inspect(TestFolder() / "plain.h5").Text(), ::testing::Not(HasSubstr("also")));
-  EXPECT_THAT(
-      Names(header.contents),
-      ElementsAre("covariance", "displacement", "strain", "patch", "slip", "matches", "velocity",
-                  "rigid_motion", "rig_watch", "rig_rotation", "deformation", "material"));
+  EXPECT_THAT(Names(header.contents),
+              ElementsAre("covariance", "displacement", "strain", "patch", "slip", "matches",
+                          "velocity", "rigid_motion", "rig_watch", "rig_rotation", "deformation",
+                          "material", "strain_windows"));
 }
 
 TEST(PrincipalStrain, IsThatOfMohrsCircle) {

@@ -102,7 +102,7 @@ TEST_F(RollingContactOfAnArc, TellsGroundDeformationPatchAndSlipOfEveryFrame) {
     // A subset here is 15 mm wide, as is the rounding where the tyre lifts off: that ends early.
     EXPECT_NEAR(frame.patch.patch.area_mm2 / patch->area_mm2, 0.9, 0.12);
     ASSERT_TRUE(frame.slip.found) << frame.slip.problem;
-    EXPECT_NEAR(frame.slip.speed_mm_s.value / wheel.speed_mm_s, 1, 0.003);
+    EXPECT_NEAR(frame.slip.speed_mm_s.value / wheel.speed_mm_s, 1, 0.004);
     EXPECT_NEAR(frame.slip.slip_angle_rad.value, 0, 0.2 * kDegrees);
     EXPECT_NEAR(frame.slip.ratio.value, -0.03, 0.003);
     EXPECT_GT(frame.slip.sticking, 20);

@@ -31,8 +31,13 @@ MeasuredScalar TurningOverGround(const RollingWheel& wheel, std::size_t first, s
   return speed;
 }
 
-double SpeedSince(const RollingWheel& wheel, std::size_t first, std::size_t f, std::size_t last) {
-  return wheel.frames[f].speed_rad_s / MeanSpeed(wheel, first, f, last);
+SpeedRatio SpeedSince(const RollingWheel& wheel, std::size_t first, std::size_t f,
+                      std::size_t last) {
+  if (first < f && f < last) return {};
+  const double mean = MeanSpeed(wheel, first, f, last);
+  const double half_difference =
+      std::hypot(wheel.frames[first].sigma_random_rad_s, wheel.frames[last].sigma_random_rad_s) / 2;
+  return {wheel.frames[f].speed_rad_s / mean, half_difference / mean};
 }
 
 }  // namespace plumbline::internal

@@ -18,7 +18,10 @@ namespace plumbline::internal {
                                                const RigRotationFrame& to, double alike);
 
 // The speed of the wheel in frame f over its mean from first to last, as the rig sees it.
-[[nodiscard]] double SpeedSince(const RollingWheel& wheel, std::size_t first, std::size_t f,
-                                std::size_t last);
+struct SpeedRatio {
+  double value = 1, sigma = 0;  // random
+};
+[[nodiscard]] SpeedRatio SpeedSince(const RollingWheel& wheel, std::size_t first, std::size_t f,
+                                    std::size_t last);
 
 }  // namespace plumbline::internal
