@@ -124,6 +124,22 @@ TEST(PatchSeries, SigmasAreThoseOfSampling) {
   EXPECT_LT(nees, 6);
 }
 
+// As that of frames over obstacles alone can be.
+TEST(PatchSeries, DoesNotBelieveALawByWhichLittleTouches) {
+  const VirtualRig rig(TyreScenario("tyre-flat", {0.8, -1.5, 0.4}));
+  const TyreFrame truth = TrueTyreFrame(rig, 0, 12);
+  const auto frames = Draws(truth, 2, 0.02, 1);
+  PatchSeriesOptions options = Options(0.02, 1);
+  options.lift_off.max_scatter_mm = 10;
+  options.law = FindPatches(frames, truth.axis, options).law;
+  EXPECT_EQ(FindPatches(frames, truth.axis, options).frames[0].by, FramePatch::By::kLiftOff);
+  options.law->log_k -= 6;
+  const FramePatch record = FindPatches(frames, truth.axis, options).frames[0];
+  EXPECT_EQ(record.by, FramePatch::By::kThreshold);
+  EXPECT_NE(record.problem.find("little touches"), std::string::npos) << record.problem;
+  EXPECT_TRUE(std::isnan(record.sigma_random[0]));
+}
+
 TEST(PatchSeries, TheGroundsErrorIsInIt) {
   const VirtualRig rig(TyreScenario("tyre-flat", {0.8, -1.5, 0.4}));
   const TyreFrame truth = TrueTyreFrame(rig, 0, 12);
