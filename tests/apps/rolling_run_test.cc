@@ -17,6 +17,7 @@
 #include "io/rig_file.h"
 #include "io/series_reader.h"
 #include "io/wheel_file.h"
+#include "tests/support/held_pairs.h"
 #include "tests/support/plumbline_command.h"
 #include "tests/track/lifted_wheel.h"
 
@@ -25,6 +26,7 @@ namespace {
 namespace fs = std::filesystem;
 using testing::CommandResult;
 using ::testing::HasSubstr;
+using testing::HeldPairs;
 using ::testing::IsEmpty;
 using testing::kDegrees;
 using testing::LiftedWheel;
@@ -42,23 +44,6 @@ Scenario Loaded(unsigned more_seed = 0) {
   return loaded;
 }
 
-// Pairs that are there.
-class Recording : public ImageSource {
- public:
-  explicit Recording(std::vector<StereoFrame> pairs) : pairs_(std::move(pairs)) {}
-  std::int64_t DeclaredCount() const override { return static_cast<std::int64_t>(pairs_.size()); }
-  std::optional<StereoFrame> Next() override {
-    if (next_ == pairs_.size()) return std::nullopt;
-    return pairs_[next_++];
-  }
-  std::vector<std::string> Notes() const override { return {}; }
-  std::vector<fs::path> Files() const override { return {}; }
-
- private:
-  std::vector<StereoFrame> pairs_;
-  std::size_t next_ = 0;
-};
-
 // The reference of a part of the wheel, and the loaded tyre seen by the same rig; the last pair is
 // of another tyre.
 class RollingTyre : public ::testing::Test {
@@ -71,7 +56,7 @@ class RollingTyre : public ::testing::Test {
     for (int f = 0; f < kFrames; ++f) pairs_->push_back(PairOf(*tyre_, f, f));
     pairs_->push_back(PairOf(VirtualRig(Loaded(1)), 1, kFrames));
     run_ = new RollingRun(*reference_, Options());
-    Recording recording(*pairs_);
+    HeldPairs recording(*pairs_);
     ASSERT_TRUE(run_->Survey(recording, [](std::int64_t, std::int64_t) { return true; }));
     frames_ = new std::vector<SeriesFrame>;
     for (std::size_t f = 0; f < pairs_->size(); ++f) {
@@ -199,7 +184,7 @@ TEST_F(RollingTyre, FollowsTheMaterial) {
 
 TEST_F(RollingTyre, IsToldInTheFrameOfTheGroundUnderIt) {
   RollingRun run(*reference_, Options());
-  Recording recording(*pairs_);
+  HeldPairs recording(*pairs_);
   ASSERT_TRUE(run.Survey(recording, [](std::int64_t, std::int64_t) { return true; }));
   RollingContactOptions contact;
   contact.carcass.thickness_mm = {20};
@@ -251,7 +236,7 @@ TEST_F(RollingTyre, IsToldInTheFrameOfTheGroundUnderIt) {
 
 TEST_F(RollingTyre, SaysWhyNothingIsOnTheWheel) {
   RollingRun run(*reference_, Options());
-  Recording recording({pairs_->back()});
+  HeldPairs recording({pairs_->back()});
   try {
     (void)run.Survey(recording, [](std::int64_t, std::int64_t) { return true; });
     FAIL() << "another tyre was taken for the wheel's";
@@ -259,7 +244,7 @@ TEST_F(RollingTyre, SaysWhyNothingIsOnTheWheel) {
     EXPECT_THAT(error.what(), HasSubstr("None of the 1 frames is found on the wheel"));
   }
   RollingRun stopped(*reference_, Options());
-  Recording again({pairs_->back()});
+  HeldPairs again({pairs_->back()});
   EXPECT_FALSE(stopped.Survey(again, [](std::int64_t done, std::int64_t) { return done < 1; }));
   RollingRunOptions options = Options();
   options.sequence.strategy = StereoStrategy::kIncremental;

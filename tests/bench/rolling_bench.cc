@@ -22,6 +22,7 @@
 #include "io/series_writer.h"
 #include "io/virtual_rig/virtual_rig.h"
 #include "match/correlate_field.h"
+#include "tests/support/held_pairs.h"
 #include "tests/support/peak_memory.h"
 
 namespace plumbline {
@@ -37,23 +38,6 @@ constexpr double kThickness_mm = 20;
 double SecondsSince(Clock::time_point begin) {
   return std::chrono::duration<double>(Clock::now() - begin).count();
 }
-
-// Pairs that are held.
-class Held : public ImageSource {
- public:
-  explicit Held(const std::vector<StereoFrame>& pairs) : pairs_(pairs) {}
-  std::int64_t DeclaredCount() const override { return static_cast<std::int64_t>(pairs_.size()); }
-  std::optional<StereoFrame> Next() override {
-    if (next_ == pairs_.size()) return std::nullopt;
-    return pairs_[next_++];
-  }
-  std::vector<std::string> Notes() const override { return {}; }
-  std::vector<fs::path> Files() const override { return {}; }
-
- private:
-  const std::vector<StereoFrame>& pairs_;
-  std::size_t next_ = 0;
-};
 
 std::vector<StereoFrame> PairsOf(const VirtualRig& rig) {
   std::vector<StereoFrame> pairs;
@@ -74,7 +58,7 @@ WheelReference ReferenceOf(RigKind kind, int frames) {
   const auto& tyre = std::get<TyreOptions>(lifted.surface);
   lifted.frames_per_second = tyre.speed_mm_s / tyre.free_rolling_radius_mm / kLifted_rad;
   const std::vector<StereoFrame> arc = PairsOf(VirtualRig(lifted));
-  const auto open = [&] { return std::make_unique<Held>(arc); };
+  const auto open = [&] { return std::make_unique<testing::HeldPairs>(arc); };
   const auto go_on = [](const std::string&, std::int64_t, std::int64_t) { return true; };
   return *MeasureWheelReference(lifted.rig, open, {}, go_on).wheel;
 }
@@ -154,7 +138,7 @@ void RollingFrames(benchmark::State& state) {
     auto begin = Clock::now();
     RollingRun run(recording.wheel, Options());
     prepare_s = SecondsSince(begin);
-    Held source(recording.pairs);
+    testing::HeldPairs source(recording.pairs);
     begin = Clock::now();
     run.Survey(source, [&](std::int64_t done, std::int64_t) {
       if (done == 1) first_s = SecondsSince(begin);
