@@ -67,8 +67,7 @@ std::string RowOf(std::int64_t index, const TruthComparison& c) {
   if (std::isfinite(c.rms_displacement_mm[0])) {
     row += fmt::format(
         "      displacement from the wheel, rms (median): towards the axis {:.4f} ({:.4f}), around "
-        "it "
-        "{:.4f} ({:.4f}), along it {:.4f} ({:.4f}) mm\n",
+        "it {:.4f} ({:.4f}), along it {:.4f} ({:.4f}) mm\n",
         c.rms_displacement_mm[0], c.median_displacement_error_mm[0], c.rms_displacement_mm[1],
         c.median_displacement_error_mm[1], c.rms_displacement_mm[2],
         c.median_displacement_error_mm[2]);
