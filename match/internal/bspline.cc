@@ -3,6 +3,7 @@
 #include <oneapi/tbb/blocked_range.h>
 #include <oneapi/tbb/parallel_for.h>
 
+#include <Eigen/Core>
 #include <algorithm>
 #include <array>
 #include <cmath>
@@ -36,10 +37,14 @@ int Horizon(double pole) {
   return static_cast<int>(std::ceil(std::log(1e-17) / std::log(std::abs(pole))));
 }
 
-// The two recursive filters of one pole along a row.
-void FilterRow(std::vector<double>& row, double z) {
+// Rows that are filtered side by side: each step of a recursion waits for the one before it.
+constexpr int kRows = 8;
+using RowLanes = Eigen::Array<double, kRows, 1>;
+
+// The two recursive filters of one pole along rows.
+void FilterAlong(std::vector<RowLanes>& row, double z) {
   const int size = static_cast<int>(row.size());
-  double start = 0;
+  RowLanes start = RowLanes::Zero();
   double power = 1;
   for (int i = 0; i < Horizon(z); ++i, power *= z) {
     start += power * row[static_cast<std::size_t>(Mirrored(i, size))];
@@ -91,17 +96,27 @@ double Gain(int degree) {
 
 void FilterRows(int degree, double scale, Image<float>& image) {
   const std::vector<double> poles = Poles(degree);
-  tbb::parallel_for(Range(0, image.height(), 8), [&](const Range& rows) {
-    std::vector<double> line(static_cast<std::size_t>(image.width()));
-    for (int y = rows.begin(); y < rows.end(); ++y) {
-      float* row = image.row(y);
-      std::transform(row, row + image.width(), line.begin(),
-                     [scale](float value) { return scale * static_cast<double>(value); });
-      if (image.width() > 1) {
-        for (const double pole : poles) FilterRow(line, pole);
+  const int width = image.width();
+  tbb::parallel_for(Range(0, (image.height() + kRows - 1) / kRows), [&](const Range& blocks) {
+    std::vector<RowLanes> line(static_cast<std::size_t>(width), RowLanes::Zero());
+    for (int block = blocks.begin(); block < blocks.end(); ++block) {
+      const int first = block * kRows;
+      const int rows = std::min(kRows, image.height() - first);
+      for (int k = 0; k < rows; ++k) {
+        const float* row = image.row(first + k);
+        for (int x = 0; x < width; ++x) {
+          line[static_cast<std::size_t>(x)][k] = scale * static_cast<double>(row[x]);
+        }
       }
-      std::transform(line.begin(), line.end(), row,
-                     [](double value) { return static_cast<float>(value); });
+      if (width > 1) {
+        for (const double pole : poles) FilterAlong(line, pole);
+      }
+      for (int k = 0; k < rows; ++k) {
+        float* row = image.row(first + k);
+        for (int x = 0; x < width; ++x) {
+          row[x] = static_cast<float>(line[static_cast<std::size_t>(x)][k]);
+        }
+      }
     }
   });
 }

@@ -1,6 +1,7 @@
 // Stereo-DIC of 1280x1024 pairs, a point every 8 px, subsets of 33 px: displacement, covariance and
-// strain of every frame, written. The answer is checked before it is timed; the baseline of the
-// same run is the correlation of the left images alone, without verification or anything behind it.
+// strain of every frame, written, in the flow of `plumbline measure`, from pairs in memory. The
+// answer is checked before it is timed; the baseline of the same run is the correlation of the left
+// images alone, without verification or anything behind it.
 
 #include <benchmark/benchmark.h>
 #include <oneapi/tbb/global_control.h>
@@ -12,6 +13,7 @@
 #include <string>
 #include <vector>
 
+#include "apps/internal/measure_flow.h"
 #include "apps/stereo_run.h"
 #include "io/series_writer.h"
 #include "match/correlate_field.h"
@@ -108,6 +110,23 @@ bool IsRight(const StereoRunFrame& measured) {
          std::abs(measured.summary.strain.x() - (e + e * e / 2)) < 2e-5;
 }
 
+// Pairs of the recording without end, from the second one on.
+class EndlessPairs : public ImageSource {
+ public:
+  explicit EndlessPairs(const Recording& recording) : recording_(recording) {}
+  std::int64_t DeclaredCount() const override { return 0; }
+  std::optional<StereoFrame> Next() override { return recording_.At(++frame_); }
+  std::vector<std::string> Notes() const override { return {}; }
+  std::vector<fs::path> Files() const override { return {}; }
+
+ private:
+  const Recording& recording_;
+  std::int64_t frame_ = 1;
+};
+
+// Frames that go through the flow at a stretch.
+constexpr std::int64_t kStretch = 15;
+
 void StereoDicFrames(benchmark::State& state) {
   const tbb::global_control threads(tbb::global_control::max_allowed_parallelism,
                                     static_cast<std::size_t>(state.range(0)));
@@ -120,26 +139,33 @@ void StereoDicFrames(benchmark::State& state) {
   Clear();
   SeriesHeader header = run.Header();
   header.recipe_toml = "# benchmark";
-  std::int64_t points = 0, frame = 1;
+  std::int64_t points = 0, frames = 0;
   double match_s = 0, evaluate_s = 0, write_s = 0;
+  EndlessPairs pairs(recording);
   {
     SeriesWriter writer(Output(), header);
-    for (auto _ : state) {
-      ++frame;
-      const StereoRunFrame measured = run.Measure(recording.At(frame), frame);
-      const auto begin = Clock::now();
-      writer.Commit(measured.frame);
-      write_s += std::chrono::duration<double>(Clock::now() - begin).count();
+    const auto measure = [&](const StereoFrame& pair, std::int64_t) {
+      StereoRunFrame measured = run.Measure(pair, pair.index);
       match_s += measured.match_s;
       evaluate_s += measured.evaluate_s;
       points += measured.summary.valid_points;
+      return internal::ReportedFrame{std::move(measured.frame), {}, {}, 0};
+    };
+    const auto write = [&](const internal::ReportedFrame& measured) {
+      const auto begin = Clock::now();
+      writer.Commit(measured.frame);
+      write_s += std::chrono::duration<double>(Clock::now() - begin).count();
+      ++frames;
+    };
+    while (state.KeepRunningBatch(kStretch)) {
+      internal::RunFlow(pairs, {0, 0, kStretch}, measure, write, [] { return false; });
     }
   }
   Clear();
   const double all_s = match_s + evaluate_s + write_s;
   state.counters["frames/s"] =
-      benchmark::Counter(static_cast<double>(state.iterations()), benchmark::Counter::kIsRate);
-  state.counters["points"] = static_cast<double>(points) / static_cast<double>(state.iterations());
+      benchmark::Counter(static_cast<double>(frames), benchmark::Counter::kIsRate);
+  state.counters["points"] = static_cast<double>(points) / static_cast<double>(frames);
   state.counters["match%"] = 100 * match_s / all_s;
   state.counters["evaluate%"] = 100 * evaluate_s / all_s;
   state.counters["write%"] = 100 * write_s / all_s;
