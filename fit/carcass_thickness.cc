@@ -8,14 +8,46 @@
 
 namespace plumbline {
 
+namespace {
+
+// Of a map at one of its entries.
+double SlopeAt(const CarcassThickness& map, std::size_t k) {
+  const std::vector<double>&y = map.y_mm, &t = map.thickness_mm;
+  const auto secant = [&](std::size_t i) { return (t[i + 1] - t[i]) / (y[i + 1] - y[i]); };
+  const std::size_t last = y.size() - 1;
+  if (last == 1) return secant(0);
+  if (k == 0 || k == last) {
+    // Of the parabola through the three entries at this end, as far as it stays monotone.
+    const std::size_t here = k == 0 ? 0 : last - 1, next = k == 0 ? 1 : last - 2;
+    const double h = y[here + 1] - y[here], g = y[next + 1] - y[next];
+    const double slope = ((2 * h + g) * secant(here) - h * secant(next)) / (h + g);
+    if (slope * secant(here) <= 0) return 0;
+    return std::copysign(std::min(std::abs(slope), 3 * std::abs(secant(here))), slope);
+  }
+  const double before = secant(k - 1), after = secant(k);
+  if (before * after <= 0) return 0;
+  const double h = y[k] - y[k - 1], g = y[k + 1] - y[k];
+  return 3 * (h + g) / ((2 * g + h) / before + (g + 2 * h) / after);
+}
+
+}  // namespace
+
 double CarcassThickness::At(double y) const {
   if (y_mm.empty()) return thickness_mm.front();
   if (!(y >= y_mm.front() && y <= y_mm.back())) return std::numeric_limits<double>::quiet_NaN();
   const auto above = std::lower_bound(y_mm.begin(), y_mm.end(), y);
   const auto k = static_cast<std::size_t>(above - y_mm.begin());
   if (k == 0) return thickness_mm.front();
-  const double share = (y - y_mm[k - 1]) / (y_mm[k] - y_mm[k - 1]);
-  return (1 - share) * thickness_mm[k - 1] + share * thickness_mm[k];
+  const double width = y_mm[k] - y_mm[k - 1];
+  const double u = (y - y_mm[k - 1]) / width, v = 1 - u;
+  return v * v * (1 + 2 * u) * thickness_mm[k - 1] + u * u * (1 + 2 * v) * thickness_mm[k] +
+         u * v * width * (v * SlopeAt(*this, k - 1) - u * SlopeAt(*this, k));
+}
+
+CarcassThickness CarcassThickness::AlongMode(int mode) const {
+  CarcassThickness along = *this;
+  along.thickness_mm.at(static_cast<std::size_t>(mode)) += sigma_mm;
+  return along;
 }
 
 void CarcassThickness::Check() const {
@@ -23,6 +55,9 @@ void CarcassThickness::Check() const {
   if (!constant && (y_mm.size() < 2 || y_mm.size() != thickness_mm.size())) {
     throw UsageError(
         "The carcass's thickness is one value, or a map of two or more places with one each.");
+  }
+  if (!(sigma_mm >= 0 && std::isfinite(sigma_mm))) {
+    throw UsageError("The sigma of the carcass's thickness has to be 0 mm or more.");
   }
   for (std::size_t k = 0; k < thickness_mm.size(); ++k) {
     if (!(thickness_mm[k] >= 0 && std::isfinite(thickness_mm[k]))) {

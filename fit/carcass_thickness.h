@@ -9,13 +9,21 @@
 namespace plumbline {
 
 // How thick a tyre's carcass is, tread included, by the place along the wheel's axis at which it
-// lies undeformed: one value for all, or a map with straight lines between its entries.
+// lies undeformed: one value for all, or a map. Between the entries of a map runs the monotone
+// piecewise cubic of Fritsch and Butland (SIAM J. Sci. Stat. Comput. 5, 1984, eq. 10), which never
+// leaves the range of the two entries beside it.
 struct CarcassThickness {
   std::vector<double> y_mm;          // ascending, wheel frame; empty where thickness_mm has one
   std::vector<double> thickness_mm;  // measured along the normal of the surface
+  double sigma_mm = 0;               // of each entry, independent of the others
 
   // NaN beyond the ends of a map: nothing is known there.
   double At(double y_mm) const;
+
+  // What one sigma does, an entry at a time: a mode of the carcass is common to all frames, as one
+  // of the calibration is. None without a sigma.
+  int mode_count() const { return sigma_mm > 0 ? static_cast<int>(thickness_mm.size()) : 0; }
+  CarcassThickness AlongMode(int mode) const;
 
   // Throws UsageError naming the broken constraint.
   void Check() const;

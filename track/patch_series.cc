@@ -77,18 +77,15 @@ class PatchOfFrame {
     record->sigma_law = law.cwiseMax(0).cwiseSqrt();
     record->sigma_random = variance.cwiseMax(0).cwiseSqrt();
     Results common = Results::Zero();
-    for (std::size_t m = 0; m < frame_.along_modes_mm.size(); ++m) {
-      const InGround along(frame_, frame_.rotation.ground.along_modes[m],
-                           &frame_.along_modes_mm[m]);
+    const std::size_t modes = frame_.along_modes_mm.size();
+    for (std::size_t m = 0; m < modes; ++m) {
+      InGround along(frame_, frame_.rotation.ground.along_modes[m], &frame_.along_modes_mm[m]);
+      const std::vector<Image<double>>& carcass = frame_.thickness_along_modes;
+      if (modes - m <= carcass.size()) along.thickness_mm = &carcass[m + carcass.size() - modes];
       common += (Again(along).value_or(results) - results).cwiseAbs2();
     }
     record->sigma_calibration = common.cwiseSqrt();
     return true;
-  }
-
-  // The results alone.
-  std::optional<Results> Again() const {
-    return Again(InGround(frame_, frame_.rotation.ground.frame_from_rig));
   }
 
  private:
@@ -157,10 +154,20 @@ bool Holds(FramePatch* record) {
   return false;
 }
 
+// How large what the law leaves out may be, before anything is measured: as large as on the virtual
+// tyre at most (docs/theory.md).
+Results LikelyModelErrors(const Results& results) {
+  Results likely;
+  likely << 0.008 * results[0], 0.0035 * results[1], 0.0035 * results[2],
+      0.0005 * results[1] * Eigen::Vector2d::Ones();
+  return likely;
+}
+
 // What the law leaves out: its next term. That takes errors in proportion to the square of the
 // distance in the law up to which it is fitted, the fourth root of the gap squared: fitted up to
 // half the gap, results are nearer to the truth by 1 - sqrt(1/2) of their error. In the mean over
-// the frames, for single ones are noisy.
+// the frames, for single ones are noisy; and where the noise of the two laws (of which the one has
+// less than the other's points) hides it, as much of what is likely as is not known better.
 void AddModelErrors(std::span<const PatchFrame> frames, const WheelAxis& axis,
                     PatchSeriesOptions options, PatchSeries* series) {
   options.lift_off.largest_gap_mm /= 2;
@@ -168,22 +175,28 @@ void AddModelErrors(std::span<const PatchFrame> frames, const WheelAxis& axis,
   std::string why;
   const std::optional<LiftOffLaw> law = LawOf(frames, options, &why);
   if (!law) return;
-  Results sum = Results::Zero();
+  Results sum = Results::Zero(), noise = Results::Zero();
   int count = 0;
   for (std::size_t f = 0; f < frames.size(); ++f) {
     const FramePatch& record = series->frames[f];
     if (record.by != FramePatch::By::kLiftOff) continue;
-    const auto again = PatchOfFrame(frames[f], *law, axis, options).Again();
-    if (!again) continue;
-    sum += *again - ResultsOf(record.patch);
+    FramePatch again;
+    if (!PatchOfFrame(frames[f], *law, axis, options).Find(&again)) continue;
+    sum += ResultsOf(again.patch) - ResultsOf(record.patch);
+    noise += again.sigma_law.cwiseAbs2() - record.sigma_law.cwiseAbs2();
     ++count;
   }
   if (count == 0) return;
-  const Results model = (sum / (count * nearer)).cwiseAbs();
+  const Results told = sum / (count * nearer);
+  const Results variance = (noise / (count * nearer * nearer)).cwiseMax(0);
   for (FramePatch& record : series->frames) {
     if (record.by != FramePatch::By::kLiftOff) continue;
-    record.sigma_law = (record.sigma_law.cwiseAbs2() + model.cwiseAbs2()).cwiseSqrt();
-    record.sigma_random = (record.sigma_random.cwiseAbs2() + model.cwiseAbs2()).cwiseSqrt();
+    // The mean square of the error, given what is told of it and what was likely.
+    const Results likely = LikelyModelErrors(ResultsOf(record.patch)).cwiseAbs2();
+    const Results share = likely.cwiseQuotient(likely + variance);
+    const Results model = share.cwiseProduct(told).cwiseAbs2() + share.cwiseProduct(variance);
+    record.sigma_law = (record.sigma_law.cwiseAbs2() + model).cwiseSqrt();
+    record.sigma_random = (record.sigma_random.cwiseAbs2() + model).cwiseSqrt();
   }
 }
 

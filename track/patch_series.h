@@ -26,6 +26,9 @@ struct PatchFrame {
   // undeformed places. As many as rotation.ground.along_modes, or none.
   std::vector<Image<Eigen::Vector3f>> along_modes_mm;
   RigRotationFrame rotation;
+  // The thickness along the last ones of the modes, which are the carcass's; along the others it is
+  // what it is.
+  std::vector<Image<double>> thickness_along_modes = {};
 };
 
 struct PatchSeriesOptions {

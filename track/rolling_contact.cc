@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <stdexcept>
 #include <utility>
 
 #include "calib/error.h"
@@ -29,6 +30,7 @@ struct FramePoints {
   Image<Eigen::Vector3d> material;  // angle (rad), place along the axis (mm), radius (mm)
   Image<Eigen::Matrix3d> cov_mm2;
   Image<double> thickness_mm;
+  std::vector<Image<double>> thickness_along_modes;  // of the carcass: the last ones of all modes
   // What one standard deviation of the frame's own pose of the cameras does to the points, along
   // each of its directions; none where it was not refined.
   std::vector<Image<Eigen::Vector3f>> along_pose_mm;
@@ -151,7 +153,13 @@ FramePoints ContactOfRun::PointsOf(std::size_t f) const {
     left.push_back(p.left_px);
     right.push_back(p.right_px);
   }
-  out.thickness_mm = ThicknessOver(options_.carcass, out.undeformed.point_mm, reference_.axis);
+  const CarcassThickness& carcass = options_.carcass;
+  const Image<Eigen::Vector3d>& undeformed = out.undeformed.point_mm;
+  out.thickness_mm = ThicknessOver(carcass, undeformed, reference_.axis);
+  for (int k = 0; k < carcass.mode_count(); ++k) {
+    out.thickness_along_modes.push_back(
+        ThicknessOver(carcass.AlongMode(k), undeformed, reference_.axis));
+  }
   AddModes(f, left, right, &out);
   AddPoseErrors(frame, left, right, &out);
   return out;
@@ -228,9 +236,14 @@ PoseObservation ContactOfRun::Observe(const FramePoints& points) const {
                                     reference_.axis, options_.flat, &why);
   if (!flat) return ObserveSymmetry(points, why);
   std::vector<GroundPlane> along;
-  for (const Image<Eigen::Vector3f>& mode : points.now.along_modes_mm) {
-    along.push_back(RefitFlatContact(*flat, Moved(points.now.point_mm, mode), points.cov_mm2,
-                                     points.thickness_mm));
+  const std::vector<Image<Eigen::Vector3f>>& modes = points.now.along_modes_mm;
+  const std::vector<Image<double>>& carcass = points.thickness_along_modes;
+  for (std::size_t k = 0; k < modes.size(); ++k) {
+    const std::size_t left = modes.size() - k;
+    const Image<double>& thickness =
+        left > carcass.size() ? points.thickness_mm : carcass[carcass.size() - left];
+    along.push_back(
+        RefitFlatContact(*flat, Moved(points.now.point_mm, modes[k]), points.cov_mm2, thickness));
   }
   PoseObservation observed =
       ObservePlane(points.time_s, flat->plane, reference_.axis, along, axes_);
@@ -304,7 +317,7 @@ void ContactOfRun::FindPatchesOf(RollingContact* contact) const {
     sigmas.push_back(SigmaOf(points));
     frames.push_back({std::move(points.now.point_mm), std::move(points.undeformed.point_mm),
                       std::move(points.thickness_mm), std::move(points.now.along_modes_mm),
-                      contact->frames[f].rotation});
+                      contact->frames[f].rotation, std::move(points.thickness_along_modes)});
     places.push_back(f);
   }
   if (frames.empty()) return;
@@ -478,6 +491,9 @@ void RollingContactOptions::Check() const {
 RollingContact FindRollingContact(const WheelReference& reference, const RollingWheel& rolling,
                                   const RollingContactOptions& options) {
   options.Check();
+  if (reference.rig.modes.count() < options.carcass.mode_count()) {
+    throw std::invalid_argument("FindRollingContact: a carcass with a sigma, a wheel without it");
+  }
   return ContactOfRun(reference, rolling, options).Find();
 }
 

@@ -65,7 +65,9 @@ struct RollingContact {
 //          -> contact patch (law of lift-off), deformation, velocity of the material, slip
 //
 // Ground frames of frames in a row, as a smoother leaves them, are taken to err alike.
-// Throws UsageError from the options, InputError as FindFlatContact and SmoothRigRotation.
+// Where the carcass's thickness has a sigma, reference and survey are those of WithCarcassModes().
+// Throws UsageError from the options, InputError as FindFlatContact and SmoothRigRotation,
+// std::invalid_argument where the reference has fewer modes than the carcass.
 // Accuracy: tests/track/rolling_contact_test.cc.
 [[nodiscard]] RollingContact FindRollingContact(const WheelReference& reference,
                                                 const RollingWheel& rolling,

@@ -5,8 +5,10 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <utility>
 
 #include "calib/error.h"
+#include "track/carcass_modes.h"
 
 namespace plumbline::internal {
 namespace {
@@ -86,6 +88,13 @@ void ContactOptionSet::Declare(OptionTable& options) {
                        "surface lies flat",
                .unit = "mm"},
               &carcass_);
+  options.Add({.name = "carcass-sigma",
+               .help = "standard deviation of each thickness of --carcass, independent of the "
+                       "others; its errors count with those of the calibration",
+               .unit = "mm",
+               .min = 0,
+               .max = 10},
+              &carcass_sigma_mm_);
   options.Add({.name = "ground-turns",
                .help = "how the rig is turned over the ground, by hand: degrees about its x, y, z "
                        "axes as 157,0,0; the undeformed minimum is then at z = 0. Empty: from the "
@@ -131,9 +140,21 @@ void ContactOptionSet::Declare(OptionTable& options) {
               &convention_);
 }
 
+CarcassThickness ContactOptionSet::Carcass(double crown_y_mm) const {
+  CarcassThickness carcass = ParseCarcass(carcass_, std::isfinite(crown_y_mm) ? crown_y_mm : 0);
+  carcass.sigma_mm = carcass_sigma_mm_;
+  carcass.Check();
+  return carcass;
+}
+
+WheelReference ContactOptionSet::WithCarcass(WheelReference wheel) const {
+  const CarcassThickness carcass = Carcass(wheel.profile.crown_y_mm);
+  return WithCarcassModes(std::move(wheel), carcass);
+}
+
 RollingContactOptions ContactOptionSet::Options(double crown_y_mm) const {
   RollingContactOptions options;
-  options.carcass = ParseCarcass(carcass_, std::isfinite(crown_y_mm) ? crown_y_mm : 0);
+  options.carcass = Carcass(crown_y_mm);
   options.patch.threshold.threshold_mm = threshold_mm_;
   options.slip.convention =
       convention_ == "iso8855" ? SlipConvention::kIso8855 : SlipConvention::kSaeJ670;

@@ -22,6 +22,8 @@ class ContactOptionSet {
   // crown_y_mm: where the middle of the tread lies on the wheel's axis (wheel frame). Throws
   // UsageError.
   RollingContactOptions Options(double crown_y_mm) const;
+  // WithCarcassModes(), of the carcass that is said.
+  WheelReference WithCarcass(WheelReference wheel) const;
 
   // Before anything is measured. Throws UsageError for a channel that is not there or has no unit
   // of a speed, and where nothing would tell the logger's clock.
@@ -35,8 +37,11 @@ class ContactOptionSet {
                           RollingContactOptions* options) const;
 
  private:
+  CarcassThickness Carcass(double crown_y_mm) const;
+
   std::string carcass_ = "0", ground_turns_, vehicle_speed_, wheel_speed_, convention_ = "iso8855";
   double vehicle_speed_sigma_m_s_ = 0, radius_sigma_mm_ = 0, threshold_mm_ = 0.5;
+  double carcass_sigma_mm_ = 0;
   std::optional<double> radius_mm_;
 };
 

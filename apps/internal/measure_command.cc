@@ -332,7 +332,8 @@ std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common,
   std::vector<fs::path> files;
   const int bits = ReferencePair(&files).left.bits;
   const auto run = std::make_shared<RollingRun>(
-      rolling_.Wheel(), rolling_.Options(DicOptions(common.seed, bits), dic_.order_given()));
+      contact_.WithCarcass(rolling_.Wheel()),
+      rolling_.Options(DicOptions(common.seed, bits), dic_.order_given()));
   RollingContactOptions contact = contact_.Options(run->reference().profile.crown_y_mm);
   const auto source = recording_.Open();
   std::optional<Progress> progress(std::in_place, "finding the wheel", source->DeclaredCount(),

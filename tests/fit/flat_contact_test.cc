@@ -29,14 +29,34 @@ double TiltInDegrees(const FlatContact& flat, const TyreFrame& frame) {
   return std::acos(std::min(1.0, flat.plane.normal.dot(frame.Ground().normal))) / kDegree;
 }
 
-TEST(CarcassThickness, IsAConstantOrALineBetweenPlaces) {
+TEST(CarcassThickness, IsAConstantOrASmoothCurveBetweenPlaces) {
   const CarcassThickness constant{{}, {20}};
   EXPECT_EQ(constant.At(-70), 20);
   const CarcassThickness map{{-80, 0, 80}, {22, 20, 24}};
   EXPECT_EQ(map.At(-80), 22);
   EXPECT_EQ(map.At(80), 24);
-  EXPECT_NEAR(map.At(-20), 20.5, 1e-12);
-  EXPECT_NEAR(map.At(40), 22, 1e-12);
+  EXPECT_EQ(map.At(0), 20);
+  for (const double y : {-79.0, -40.0, -1.0, 1.0, 40.0, 79.0}) {  // never outside of its entries
+    EXPECT_GT(map.At(y), 20) << y;
+    EXPECT_LT(map.At(y), y < 0 ? 22 : 24) << y;
+  }
+  const CarcassThickness line{{-80, -10, 80}, {20, 27, 36}};
+  EXPECT_NEAR(line.At(-50), 23, 1e-12);
+  EXPECT_NEAR(line.At(40), 32, 1e-12);
+  const CarcassThickness two{{0, 10}, {20, 22}};
+  EXPECT_NEAR(two.At(2.5), 20.5, 1e-12);
+  // A step that is smooth, from places 5 mm apart: straight lines would be off by 0.04.
+  CarcassThickness smooth;
+  const auto thickness = [](double y) { return 21 + std::tanh(y / 8); };
+  for (double y = -80; y <= 80; y += 5) {
+    smooth.y_mm.push_back(y);
+    smooth.thickness_mm.push_back(thickness(y));
+  }
+  double worst = 0;
+  for (double y = -80; y <= 80; y += 0.1) {
+    worst = std::max(worst, std::abs(smooth.At(y) - thickness(y)));
+  }
+  EXPECT_LT(worst, 0.01);
   EXPECT_TRUE(std::isnan(map.At(81)));
   EXPECT_TRUE(std::isnan(map.At(NAN)));
   EXPECT_THROW((CarcassThickness{{0, 1}, {20}}).Check(), UsageError);

@@ -8,6 +8,7 @@
 #include "calib/error.h"
 #include "io/virtual_rig/tyre_patch.h"
 #include "tests/track/lifted_wheel.h"
+#include "track/carcass_modes.h"
 #include "track/internal/turning_over_ground.h"
 
 namespace plumbline {
@@ -142,6 +143,50 @@ TEST_F(RollingContactOfAnArc, StandsAsTheUserSays) {
     EXPECT_NEAR(frame.rotation.ground.frame_from_rig.rotation(2, 2), -1, 1e-12);
     EXPECT_EQ(frame.rotation.lean, 0);
   }
+}
+
+// The errors of the thickness are linear: a run with other thicknesses is off by what the modes
+// say.
+TEST_F(RollingContactOfAnArc, CountsTheErrorsOfTheCarcassBesideThoseOfTheCalibration) {
+  WheelReference wheel = *reference_;
+  wheel.rig.modes.modes = Eigen::MatrixXd::Zero(1, wheel.rig.ParameterCount());
+  wheel.axis_along_modes = Eigen::MatrixXd::Zero(1, 4);
+  wheel.angles_along_modes_rad =
+      Eigen::MatrixXd::Zero(1, static_cast<Eigen::Index>(wheel.frames.size()));
+  RollingContactOptions options = Options();
+  CarcassThickness& carcass = options.carcass;
+  carcass = {};
+  for (const double y : {-110, -60, -20, 20, 60, 110}) {
+    carcass.y_mm.push_back(Options().carcass.y_mm[22] + y);  // from the middle of the tread
+    carcass.thickness_mm.push_back(std::abs(y) > 80 ? 22 : 20);
+  }
+  const std::vector<double> errors_mm{0.05, -0.08, 0.1, 0.06, -0.05, 0.1};
+  carcass.sigma_mm = 0.1;
+  EXPECT_THROW((void)WithCarcassModes(*reference_, carcass), UsageError);
+  wheel = WithCarcassModes(std::move(wheel), carcass);
+  RollingWheel survey = *survey_;
+  survey.angle_along_modes_rad =
+      Eigen::MatrixXd::Zero(7, static_cast<Eigen::Index>(survey.frames.size()));
+  const RollingContact found = FindRollingContact(wheel, survey, options);
+  for (std::size_t k = 0; k < errors_mm.size(); ++k) carcass.thickness_mm[k] += errors_mm[k];
+  const RollingContact off = FindRollingContact(wheel, survey, options);
+  ASSERT_TRUE(found.found && off.found);
+  const RigRotationFrame& here = found.frames[3].rotation;
+  ASSERT_EQ(here.along_modes.size(), 7U);
+  EXPECT_LT(here.along_modes[0].norm(), 1e-6);  // moves nothing
+  RigPose foreseen = RigPose::Zero();
+  for (std::size_t k = 0; k < errors_mm.size(); ++k) {
+    foreseen += errors_mm[k] / carcass.sigma_mm * here.along_modes[k + 1];
+  }
+  const RigPose change = off.frames[3].rotation.pose - here.pose;
+  EXPECT_GT(change.tail<2>().cwiseAbs().minCoeff(), 1e-5);
+  EXPECT_LT((change - foreseen).norm(), 0.2 * change.norm());
+  const FramePatch& patch = found.frames[3].patch;
+  ASSERT_EQ(patch.by, FramePatch::By::kLiftOff) << patch.problem;
+  EXPECT_GT(patch.sigma_calibration[0], 0);
+  EXPECT_LT(std::abs(off.frames[3].patch.patch.area_mm2 - patch.patch.area_mm2),
+            3 * patch.sigma_calibration[0]);
+  EXPECT_GT(found.frames[3].deformation.loaded_radius_mm.sigma_calibration(), 0.03);
 }
 
 TEST_F(RollingContactOfAnArc, RefusesACarcassWithoutThickness) {
