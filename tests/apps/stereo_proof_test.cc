@@ -1,12 +1,12 @@
 // Whether the sigmas of stereo-DIC hold at the end of the whole chain: draws of the images' noise,
 // of the calibration, and of both.
+#include <fmt/format.h>
 #include <gtest/gtest.h>
 #include <tbb/parallel_for.h>
 
 #include <Eigen/Eigenvalues>
 #include <array>
 #include <cmath>
-#include <cstdio>
 #include <cstdlib>
 #include <vector>
 
@@ -168,8 +168,7 @@ void Prove(const Kind& kind, int draws, double nees, double coverage) {
   for (const auto& [name, part, looser] : kParts) {
     Consistency all;
     for (const Proof& proof : each) all.Add(proof.*part);
-    std::printf("| %s | %s | %.3g | %.3f | %.1f %% | %.0f |\n", kind.name, name, all.sigma(),
-                all.nees(), 100 * all.coverage(), all.count());
+    all.Print(fmt::format("{} | {}", kind.name, name).c_str());
     const double factor = kind.noise ? 1 : looser;
     EXPECT_NEAR(all.nees(), 1, factor * nees) << kind.name << ", " << name;
     EXPECT_NEAR(all.coverage(), 0.95, factor * coverage) << kind.name << ", " << name;

@@ -10,6 +10,7 @@
 
 #include "apps/stereo_run.h"
 #include "fit/ground_plane.h"
+#include "tests/support/consistency.h"
 #include "tests/support/rendered_surface.h"
 
 namespace plumbline::testing {
@@ -87,35 +88,5 @@ inline Rigid3 TrueGroundFromRig(const SpeckledSheet& sheet, const StereoRig& tru
   const Eigen::Matrix3d affine = normal.ldlt().solve(rhs);
   return GroundFromRig(PlaneOf(sheet), Eigen::Vector3d::Zero(), affine.row(0).transpose());
 }
-
-// Normalised squared errors and how many 95 % intervals hold, of numbers with a sigma each.
-class Consistency {
- public:
-  void Add(double error, double sigma) {
-    squares_ += error * error / (sigma * sigma);
-    covered_ += std::abs(error) < 1.959964 * sigma ? 1 : 0;
-    variance_ += sigma * sigma;
-    ++count_;
-  }
-  template <typename Error, typename Sigma>
-  void AddEach(const Error& error, const Sigma& sigma) {
-    for (int k = 0; k < error.size(); ++k) {
-      Add(static_cast<double>(error[k]), static_cast<double>(sigma[k]));
-    }
-  }
-  void Add(const Consistency& other) {
-    squares_ += other.squares_;
-    covered_ += other.covered_;
-    variance_ += other.variance_;
-    count_ += other.count_;
-  }
-  double nees() const { return squares_ / count_; }  // per dimension
-  double coverage() const { return covered_ / count_; }
-  double count() const { return count_; }
-  double sigma() const { return std::sqrt(variance_ / count_); }
-
- private:
-  double squares_ = 0, covered_ = 0, variance_ = 0, count_ = 0;
-};
 
 }  // namespace plumbline::testing

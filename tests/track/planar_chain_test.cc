@@ -2,40 +2,17 @@
 #include <gtest/gtest.h>
 
 #include <Eigen/LU>
-#include <cmath>
-#include <cstdio>
 #include <cstdlib>
 
 #include "match/correlate_field.h"
+#include "tests/support/consistency.h"
 #include "tests/support/rendered_speckle.h"
 #include "track/planar_strain.h"
 
 namespace plumbline {
 namespace {
 
-// Normalised squared errors and how many 95 % intervals of single numbers hold.
-class Consistency {
- public:
-  template <typename Vector, typename Matrix>
-  void Add(const Vector& error, const Matrix& covariance) {
-    sum_ += error.dot(covariance.inverse() * error) / static_cast<double>(error.size());
-    ++vectors_;
-    for (int k = 0; k < error.size(); ++k) {
-      covered_ += std::abs(error[k]) < 1.959964 * std::sqrt(covariance(k, k)) ? 1 : 0;
-      ++numbers_;
-    }
-  }
-  double nees_per_dimension() const { return sum_ / vectors_; }
-  double coverage() const { return covered_ / numbers_; }
-
-  void Report(const char* what) const {
-    std::printf("| %s | %.3f | %.1f %% | %.0f |\n", what, nees_per_dimension(), 100 * coverage(),
-                vectors_);
-  }
-
- private:
-  double sum_ = 0, vectors_ = 0, covered_ = 0, numbers_ = 0;
-};
+using testing::Consistency;
 
 struct Chain {
   Consistency displacement, gradient, strain;
@@ -77,11 +54,11 @@ Chain Simulate(int draws, bool know_the_noise) {
       for (int c = 0; c < field.size().width; ++c) {
         if (field.status(r, c) != Status::kOk) continue;
         const Eigen::Vector2d truth = shift + gradient * (field.PixelOf(r, c) - middle);
-        chain.displacement.Add(Eigen::Vector2d(field.displacement_px(r, c) - truth),
-                               CovarianceOf(field.cov_displacement_px2(r, c)));
+        chain.displacement.AddJoint(Eigen::Vector2d(field.displacement_px(r, c) - truth),
+                                    CovarianceOf(field.cov_displacement_px2(r, c)));
         const Eigen::Matrix2d off = field.gradient(r, c).cast<double>() - gradient;
-        chain.gradient.Add(Eigen::Vector4d(off(0, 0), off(0, 1), off(1, 0), off(1, 1)),
-                           CovarianceOf(field.cov_gradient(r, c)));
+        chain.gradient.AddJoint(Eigen::Vector4d(off(0, 0), off(0, 1), off(1, 0), off(1, 1)),
+                                CovarianceOf(field.cov_gradient(r, c)));
       }
     }
     const PlanarStrain strain = ComputePlanarStrain(field, correlator.neighbours(), gauge);
@@ -90,18 +67,19 @@ Chain Simulate(int draws, bool know_the_noise) {
       const Eigen::Matrix<double, 6, 1> c = strain.cov_strain.data()[i].cast<double>();
       Eigen::Matrix3d cov;
       cov << c[0], c[1], c[2], c[1], c[3], c[4], c[2], c[4], c[5];
-      chain.strain.Add(Eigen::Vector3d(strain.strain.data()[i].cast<double>() - true_strain), cov);
+      chain.strain.AddJoint(Eigen::Vector3d(strain.strain.data()[i].cast<double>() - true_strain),
+                            cov);
     }
   }
   return chain;
 }
 
 void ExpectConsistent(const Chain& chain, double nees, double coverage) {
-  chain.displacement.Report("displacement");
-  chain.gradient.Report("gradient");
-  chain.strain.Report("strain, overlapping gauges");
+  chain.displacement.Print("displacement");
+  chain.gradient.Print("gradient");
+  chain.strain.Print("strain, overlapping gauges");
   for (const Consistency* part : {&chain.displacement, &chain.gradient, &chain.strain}) {
-    EXPECT_NEAR(part->nees_per_dimension(), 1, nees);
+    EXPECT_NEAR(part->nees(), 1, nees);
     EXPECT_NEAR(part->coverage(), 0.95, coverage);
   }
 }

@@ -2,12 +2,12 @@
 
 #include <gtest/gtest.h>
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <vector>
 
 #include "calib/error.h"
+#include "tests/support/consistency.h"
 #include "tests/support/rendered_surface.h"
 #include "tests/support/subset_noise.h"
 #include "track/surface_state.h"
@@ -15,26 +15,11 @@
 namespace plumbline {
 namespace {
 
+using testing::Consistency;
 using testing::ConvergentRig;
 using testing::SpeckledSheet;
 
 constexpr double kNoiseGrey = 2;
-
-// Normalised squared errors per dimension, and how often 95 % intervals of each component hold.
-struct Consistency {
-  double sum = 0;
-  std::int64_t count = 0, inside = 0;
-
-  void Add(const Eigen::Vector3d& error, const Eigen::Matrix3d& cov) {
-    sum += error.dot(cov.ldlt().solve(error)) / 3;
-    ++count;
-    for (int k = 0; k < 3; ++k) inside += std::abs(error[k]) < 1.96 * std::sqrt(cov(k, k));
-  }
-  double Nees() const { return sum / static_cast<double>(count); }
-  double Coverage() const {
-    return static_cast<double>(inside) / (3.0 * static_cast<double>(count));
-  }
-};
 
 SpeckledSheet SheetAt(int frame) {
   SpeckledSheet sheet;
@@ -77,18 +62,18 @@ TEST(SurfaceMotion, CoversTheTruthOverDrawsOfTheNoise) {
         if (!moved.value_mm(r, c).allFinite() || !still.value_mm(r, c).allFinite()) continue;
         const Eigen::Vector2d material = first.MaterialAt(rig, seen.left.PixelOf(r, c));
         const Eigen::Vector3d truth = now.PointInRig(material);
-        position.Add(after.instant.point_mm(r, c) - truth, CovarianceOf(cov(r, c)));
-        displacement.Add(moved.value_mm(r, c) - (truth - first.PointInRig(material)),
-                         CovarianceOf(moved.cov_random_mm2(r, c)));
-        velocity.Add(still.value_mm(r, c), CovarianceOf(still.cov_random_mm2(r, c)));
+        position.AddJoint(after.instant.point_mm(r, c) - truth, CovarianceOf(cov(r, c)));
+        displacement.AddJoint(moved.value_mm(r, c) - (truth - first.PointInRig(material)),
+                              CovarianceOf(moved.cov_random_mm2(r, c)));
+        velocity.AddJoint(still.value_mm(r, c), CovarianceOf(still.cov_random_mm2(r, c)));
       }
     }
   }
-  EXPECT_GT(position.count, 700);
+  EXPECT_GT(position.count(), 3 * 700);
   for (const Consistency* one : {&position, &displacement, &velocity}) {
-    EXPECT_NEAR(one->Nees(), 1, 0.1);
-    EXPECT_GT(one->Coverage(), 0.93);
-    EXPECT_LT(one->Coverage(), 0.97);
+    EXPECT_NEAR(one->nees(), 1, 0.1);
+    EXPECT_GT(one->coverage(), 0.93);
+    EXPECT_LT(one->coverage(), 0.97);
   }
 }
 
