@@ -7,6 +7,7 @@
 #include <cmath>
 #include <numbers>
 
+#include "apps/internal/two_digits.h"
 #include "calib/error.h"
 
 namespace plumbline::internal {
@@ -22,9 +23,9 @@ nlohmann::json Finite(double value) {
 
 // "+- 0.012 (random) +- 0.034 (calibration)", both expanded.
 std::string PlusMinus(double sigma_random, double sigma_calibration, const char* unit) {
-  std::string text = fmt::format("+- {:.2g} {} random", kExpanded * sigma_random, unit);
+  std::string text = fmt::format("+- {} {} random", TwoDigits(kExpanded * sigma_random), unit);
   if (std::isfinite(sigma_calibration)) {
-    text += fmt::format(", +- {:.2g} {} calibration", kExpanded * sigma_calibration, unit);
+    text += fmt::format(", +- {} {} calibration", TwoDigits(kExpanded * sigma_calibration), unit);
   }
   return text;
 }
@@ -129,9 +130,9 @@ std::string MeasureReport::MotionText(const Row& row) const {
     std::string text;
     for (int k = 0; k < 3; ++k) {
       text += fmt::format(fmt::runtime(format), k == 0 ? "" : ", ", scale * value[k],
-                          kExpanded * scale * random[k]);
+                          TwoDigits(kExpanded * scale * random[k]));
       if (std::isfinite(calibration[k])) {
-        text += fmt::format(" +- {:.2g}", kExpanded * scale * calibration[k]);
+        text += " +- " + TwoDigits(kExpanded * scale * calibration[k]);
       }
     }
     return text;
@@ -150,12 +151,11 @@ std::string MeasureReport::MotionText(const Row& row) const {
   }
   text += fmt::format("  Displacement (x, y, z), median: {} mm.\n",
                       three(m.displacement_mm, m.sigma_random_displacement_mm,
-                            m.sigma_calibration_displacement_mm, "{}{:.4f} +- {:.2g}", 1));
+                            m.sigma_calibration_displacement_mm, "{}{:.4f} +- {}", 1));
   if (m.strain_points > 0) {
-    text += fmt::format("  Strain (xx, yy, xy), median of {} gauges: {} microstrain.\n",
-                        m.strain_points,
-                        three(m.strain, m.sigma_random_strain, m.sigma_calibration_strain,
-                              "{}{:.0f} +- {:.2g}", 1e6));
+    text += fmt::format(
+        "  Strain (xx, yy, xy), median of {} gauges: {} microstrain.\n", m.strain_points,
+        three(m.strain, m.sigma_random_strain, m.sigma_calibration_strain, "{}{:.0f} +- {}", 1e6));
   }
   return text;
 }

@@ -5,6 +5,8 @@
 #include <cmath>
 #include <numbers>
 
+#include "apps/internal/two_digits.h"
+
 namespace plumbline::internal {
 namespace {
 
@@ -15,10 +17,8 @@ std::string Measured(double value, double random, double calibration, int digits
                      double scale = 1) {
   if (std::isnan(value)) return "not known";
   std::string text = fmt::format("{:.{}f}", scale * value, digits);
-  if (std::isfinite(random)) text += fmt::format(" +- {:.2g}", kExpanded * scale * random);
-  if (std::isfinite(calibration)) {
-    text += fmt::format(" +- {:.2g}", kExpanded * scale * calibration);
-  }
+  if (std::isfinite(random)) text += " +- " + TwoDigits(kExpanded * scale * random);
+  if (std::isfinite(calibration)) text += " +- " + TwoDigits(kExpanded * scale * calibration);
   return text;
 }
 

@@ -8,6 +8,8 @@
 #include <nlohmann/json.hpp>
 #include <numbers>
 
+#include "apps/internal/two_digits.h"
+
 namespace plumbline::internal {
 namespace {
 
@@ -39,8 +41,8 @@ std::int64_t PlacedFrames(const WheelReference& wheel) {
 
 // "0.012 (noise), 0.3 (calibration)".
 std::string SigmaText(double random, double calibration) {
-  return fmt::format("{:.2g} (noise), {}", random,
-                     std::isfinite(calibration) ? fmt::format("{:.2g} (calibration)", calibration)
+  return fmt::format("{} (noise), {}", TwoDigits(random),
+                     std::isfinite(calibration) ? TwoDigits(calibration) + " (calibration)"
                                                 : "calibration unknown");
 }
 
