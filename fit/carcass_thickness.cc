@@ -50,6 +50,24 @@ CarcassThickness CarcassThickness::AlongMode(int mode) const {
   return along;
 }
 
+double CarcassThickness::LeftOutAt(double y) const {
+  if (std::isnan(At(y))) return std::numeric_limits<double>::quiet_NaN();
+  if (y_mm.size() < 3) return 0;
+  const auto above = std::lower_bound(y_mm.begin(), y_mm.end(), y);
+  const std::size_t k = std::max<std::size_t>(1, static_cast<std::size_t>(above - y_mm.begin()));
+  // The second derivative at an entry, by the parabola through it and its neighbours.
+  const auto curvature = [&](std::size_t at) {
+    at = std::clamp<std::size_t>(at, 1, y_mm.size() - 2);
+    const double before = y_mm[at] - y_mm[at - 1], after = y_mm[at + 1] - y_mm[at];
+    return 2 *
+           ((thickness_mm[at + 1] - thickness_mm[at]) / after -
+            (thickness_mm[at] - thickness_mm[at - 1]) / before) /
+           (before + after);
+  };
+  const double width = y_mm[k] - y_mm[k - 1], share = (y - y_mm[k - 1]) / width;
+  return -(curvature(k - 1) + curvature(k)) / 4 * share * (1 - share) * width * width;
+}
+
 void CarcassThickness::Check() const {
   const bool constant = y_mm.empty() && thickness_mm.size() == 1;
   if (!constant && (y_mm.size() < 2 || y_mm.size() != thickness_mm.size())) {
@@ -69,16 +87,33 @@ void CarcassThickness::Check() const {
   }
 }
 
+namespace {
+
+template <typename Function>
+Image<double> Over(const Image<Eigen::Vector3d>& undeformed_in_rig_mm, const WheelAxis& axis,
+                   const Function& at) {
+  Image<double> values(undeformed_in_rig_mm.size(), std::numeric_limits<double>::quiet_NaN());
+  for (std::size_t i = 0; i < values.pixel_count(); ++i) {
+    const double y_mm = axis.direction_in_rig().dot(undeformed_in_rig_mm.data()[i]);
+    if (std::isfinite(y_mm)) values.data()[i] = at(y_mm);
+  }
+  return values;
+}
+
+}  // namespace
+
 Image<double> ThicknessOver(const CarcassThickness& carcass,
                             const Image<Eigen::Vector3d>& undeformed_in_rig_mm,
                             const WheelAxis& axis) {
   carcass.Check();
-  Image<double> thickness(undeformed_in_rig_mm.size(), std::numeric_limits<double>::quiet_NaN());
-  for (std::size_t i = 0; i < thickness.pixel_count(); ++i) {
-    const double y_mm = axis.direction_in_rig().dot(undeformed_in_rig_mm.data()[i]);
-    if (std::isfinite(y_mm)) thickness.data()[i] = carcass.At(y_mm);
-  }
-  return thickness;
+  return Over(undeformed_in_rig_mm, axis, [&](double y_mm) { return carcass.At(y_mm); });
+}
+
+Image<double> ThicknessLeftOutOver(const CarcassThickness& carcass,
+                                   const Image<Eigen::Vector3d>& undeformed_in_rig_mm,
+                                   const WheelAxis& axis) {
+  carcass.Check();
+  return Over(undeformed_in_rig_mm, axis, [&](double y_mm) { return carcass.LeftOutAt(y_mm); });
 }
 
 }  // namespace plumbline

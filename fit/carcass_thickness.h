@@ -19,6 +19,9 @@ struct CarcassThickness {
 
   // NaN beyond the ends of a map: nothing is known there.
   double At(double y_mm) const;
+  // What the straight lines of a map leave out there, by the curvature of its entries: the smooth
+  // curve through them less the line, about. 0 for one value, NaN where At() is.
+  double LeftOutAt(double y_mm) const;
 
   // What one sigma does, an entry at a time: a mode of the carcass is common to all frames, as one
   // of the calibration is. None without a sigma.
@@ -34,5 +37,10 @@ struct CarcassThickness {
 [[nodiscard]] Image<double> ThicknessOver(const CarcassThickness& carcass,
                                           const Image<Eigen::Vector3d>& undeformed_in_rig_mm,
                                           const WheelAxis& axis);
+
+// CarcassThickness::LeftOutAt() over each point, likewise.
+[[nodiscard]] Image<double> ThicknessLeftOutOver(const CarcassThickness& carcass,
+                                                 const Image<Eigen::Vector3d>& undeformed_in_rig_mm,
+                                                 const WheelAxis& axis);
 
 }  // namespace plumbline

@@ -81,10 +81,11 @@ std::vector<std::uint8_t> FlatSearch::FlatPart(const FlatPlane& plane, double ed
   std::vector<std::uint8_t> flat(point_.pixel_count(), 0);
   if (near.empty()) return flat;
   const double lift_mm = std::max(kLeastLift_mm, kSigmas * 1.4826 * Median(std::move(near)));
-  Image<std::uint8_t> lifted(point_.size(), 0);
+  Image<std::uint8_t> lifted =
+      off == Off::kAbove ? Image<std::uint8_t>(point_.size(), 0) : Unseen();
   for (const std::size_t i : usable_) {
     const double from_plane = off == Off::kAbove ? smooth.data()[i] : std::abs(smooth.data()[i]);
-    lifted.data()[i] = from_plane > lift_mm ? 1 : 0;
+    if (from_plane > lift_mm) lifted.data()[i] = 1;
   }
   for (const std::size_t i : usable_) {
     const double limit = std::max(threshold_mm_, kSigmas * Sigma(plane, i));
@@ -154,6 +155,26 @@ Image<double> FlatSearch::Smoothed(const Image<double>& gap) const {
   return smooth;
 }
 
+// Where most of the places around have no point; not where one alone is missing.
+Image<std::uint8_t> FlatSearch::Unseen() const {
+  Image<std::uint8_t> seen(point_.size(), 0), unseen(point_.size(), 0);
+  for (const std::size_t i : usable_) seen.data()[i] = 1;
+  for (int row = 0; row < seen.height(); ++row) {
+    for (int column = 0; column < seen.width(); ++column) {
+      if (seen(row, column) != 0) continue;
+      int all = 0, missing = 0;
+      for (int r = std::max(0, row - 2); r <= std::min(seen.height() - 1, row + 2); ++r) {
+        for (int c = std::max(0, column - 2); c <= std::min(seen.width() - 1, column + 2); ++c) {
+          ++all;
+          missing += seen(r, c) == 0 ? 1 : 0;
+        }
+      }
+      unseen(row, column) = 2 * missing > all ? 1 : 0;
+    }
+  }
+  return unseen;
+}
+
 bool FlatSearch::FarFrom(const Image<std::uint8_t>& marked, std::size_t i, double edge_mm) const {
   if (marked.data()[i] != 0) return false;
   const auto row = static_cast<int>(i / static_cast<std::size_t>(marked.width()));
@@ -163,9 +184,10 @@ bool FlatSearch::FarFrom(const Image<std::uint8_t>& marked, std::size_t i, doubl
   for (int r = std::max(0, row - reach); r <= std::min(marked.height() - 1, row + reach); ++r) {
     for (int c = std::max(0, column - reach); c <= std::min(marked.width() - 1, column + reach);
          ++c) {
-      if (marked(r, c) != 0 && (point_(r, c) - point_.data()[i]).norm() < edge_mm) {
-        return false;
-      }
+      if (marked(r, c) == 0) continue;
+      const double away_mm = point_(r, c).allFinite() ? (point_(r, c) - point_.data()[i]).norm()
+                                                      : pitch_mm_ * std::hypot(r - row, c - column);
+      if (away_mm < edge_mm) return false;
     }
   }
   return true;
@@ -193,7 +215,8 @@ FlatExtent ExtentOf(const GroundPlane& plane, const Image<Eigen::Vector3d>& oute
     height[k] = q.z();
   }
   const Eigen::VectorXd bent = shape.colPivHouseholderQr().solve(height);
-  return {std::sqrt(12.0) * rms[0], std::sqrt(12.0) * rms[1], bent.tail<3>().cwiseAbs().maxCoeff()};
+  return {std::sqrt(12.0) * rms[0], std::sqrt(12.0) * rms[1], bent.tail<3>().cwiseAbs().maxCoeff(),
+          std::abs(bent[3])};
 }
 
 }  // namespace plumbline::internal

@@ -45,7 +45,8 @@ class FlatSearch {
   std::optional<FlatPlane> DrawPlane(const Draw& draw) const;
 
   // Places that are flat on the plane and further than edge_mm from all that is lifted off it, or,
-  // on an obstacle, that is off it at all: 1 or 0 a point of the grid.
+  // on an obstacle, that is off it at all or not seen (flanks are too steep to be matched): 1 or 0
+  // a point of the grid.
   enum class Off { kAbove, kAboveOrBelow };
   std::vector<std::uint8_t> FlatPart(const FlatPlane& plane, double edge_mm, Off off) const;
 
@@ -56,6 +57,7 @@ class FlatSearch {
   double Sigma(const FlatPlane& plane, std::size_t i) const;
   std::optional<FlatPlane> ThroughThree(double max_roll_rad, std::mt19937_64& random) const;
   Image<double> Smoothed(const Image<double>& gap) const;
+  Image<std::uint8_t> Unseen() const;
   bool FarFrom(const Image<std::uint8_t>& marked, std::size_t i, double edge_mm) const;
 
   const Image<Eigen::Vector3d>& point_;
@@ -67,9 +69,10 @@ class FlatSearch {
 };
 
 // Of a flat part: its extents, were it evenly filled, and how far a paraboloid through its points
-// departs from a plane over twice their rms distance from the middle.
+// departs from a plane over twice their rms distance from the middle; in the narrower direction
+// alone.
 struct FlatExtent {
-  double narrow_mm = 0, long_mm = 0, bow_mm = 0;
+  double narrow_mm = 0, long_mm = 0, bow_mm = 0, narrow_bow_mm = 0;
 };
 // outer: the points that plane.inlier tells of.
 FlatExtent ExtentOf(const GroundPlane& plane, const Image<Eigen::Vector3d>& outer);
