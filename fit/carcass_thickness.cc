@@ -7,7 +7,6 @@
 #include "calib/error.h"
 
 namespace plumbline {
-
 namespace {
 
 // Of a map at one of its entries.
@@ -28,6 +27,17 @@ double SlopeAt(const CarcassThickness& map, std::size_t k) {
   if (before * after <= 0) return 0;
   const double h = y[k] - y[k - 1], g = y[k + 1] - y[k];
   return 3 * (h + g) / ((2 * g + h) / before + (g + 2 * h) / after);
+}
+
+template <typename Function>
+Image<double> Over(const Image<Eigen::Vector3d>& undeformed_in_rig_mm, const WheelAxis& axis,
+                   const Function& at) {
+  Image<double> values(undeformed_in_rig_mm.size(), std::numeric_limits<double>::quiet_NaN());
+  for (std::size_t i = 0; i < values.pixel_count(); ++i) {
+    const double y_mm = axis.direction_in_rig().dot(undeformed_in_rig_mm.data()[i]);
+    if (std::isfinite(y_mm)) values.data()[i] = at(y_mm);
+  }
+  return values;
 }
 
 }  // namespace
@@ -65,7 +75,8 @@ double CarcassThickness::LeftOutAt(double y) const {
            (before + after);
   };
   const double width = y_mm[k] - y_mm[k - 1], share = (y - y_mm[k - 1]) / width;
-  return -(curvature(k - 1) + curvature(k)) / 4 * share * (1 - share) * width * width;
+  const double line = (1 - share) * thickness_mm[k - 1] + share * thickness_mm[k];
+  return line - (curvature(k - 1) + curvature(k)) / 4 * share * (1 - share) * width * width - At(y);
 }
 
 void CarcassThickness::Check() const {
@@ -86,21 +97,6 @@ void CarcassThickness::Check() const {
     }
   }
 }
-
-namespace {
-
-template <typename Function>
-Image<double> Over(const Image<Eigen::Vector3d>& undeformed_in_rig_mm, const WheelAxis& axis,
-                   const Function& at) {
-  Image<double> values(undeformed_in_rig_mm.size(), std::numeric_limits<double>::quiet_NaN());
-  for (std::size_t i = 0; i < values.pixel_count(); ++i) {
-    const double y_mm = axis.direction_in_rig().dot(undeformed_in_rig_mm.data()[i]);
-    if (std::isfinite(y_mm)) values.data()[i] = at(y_mm);
-  }
-  return values;
-}
-
-}  // namespace
 
 Image<double> ThicknessOver(const CarcassThickness& carcass,
                             const Image<Eigen::Vector3d>& undeformed_in_rig_mm,

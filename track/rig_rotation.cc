@@ -28,6 +28,10 @@ using Of = PoseObservation::Of;
 constexpr double kDegree = std::numbers::pi / 180;
 // Where nothing is known of the first frame.
 const RigPose kWide(0.5, 0.3, 100);
+// Of an obstacle of which nothing is known.
+constexpr double kAnyObstacle_mm = 200;
+// Where no frame tells the roll: an axle's camber hardly changes.
+constexpr double kStiffRoll = 0.1 * kDegree;
 constexpr int kSweeps = 3;
 constexpr internal::SearchSteps kSearch{12, 14};
 constexpr int kOutlierRounds = 20;
@@ -35,6 +39,11 @@ constexpr int kOutlierRounds = 20;
 double InWheel(const GroundPlane& plane, const WheelAxis& axis, Eigen::Vector3d* normal) {
   *normal = axis.rotation.transpose() * plane.normal;
   return plane.SignedDistance(axis.origin_in_rig_mm());
+}
+
+// How many entries of the pose a frame tells by itself.
+int Entries(const PoseObservation& frame) {
+  return frame.of == Of::kPlane ? 3 : frame.of == Of::kTurns ? 2 : frame.of == Of::kPitch ? 1 : 0;
 }
 
 // Likeliest where frames or their reverse say so: a bad first frame misleads the filter, and as the
@@ -76,12 +85,20 @@ PoseModel ModelOf(std::span<const PoseObservation> frames, const RigRotationOpti
   walk.unseen_height_mm = options.unseen_height_mm_per_sqrt_s;
   walk.prior = options.prior;
   walk.prior_sigma = options.prior_sigma;
+  walk.obstacle_mm = options.obstacle_height_mm;
+  walk.sigma_obstacle_mm = std::isfinite(options.sigma_obstacle_height_mm)
+                               ? options.sigma_obstacle_height_mm
+                               : kAnyObstacle_mm;
   for (int k = 0; k < 3; ++k) {
     if (std::isfinite(walk.prior_sigma[k])) continue;
     walk.prior_sigma[k] = kWide[k];
     for (const PoseObservation& frame : frames) {
-      if (frame.of == Of::kPlane || (frame.of == Of::kPitch && k == 0)) {
+      if (k < Entries(frame)) {
         walk.prior[k] = frame.pose[k];
+        break;
+      }
+      if (k == 2 && frame.top) {
+        walk.prior[k] = frame.top->below_axis_mm + walk.obstacle_mm;
         break;
       }
     }
@@ -92,6 +109,12 @@ PoseModel ModelOf(std::span<const PoseObservation> frames, const RigRotationOpti
   for (int k = 0; k < 3; ++k) {
     held[static_cast<std::size_t>(k)] = given[k].has_value();
     if (given[k]) walk.noise[k] = *given[k] * (k < 2 ? kDegree : 1);
+  }
+  const bool tells_roll = std::any_of(frames.begin(), frames.end(),
+                                      [](const PoseObservation& f) { return Entries(f) > 1; });
+  if (!held[1] && !tells_roll) {
+    held[1] = true;
+    walk.noise[1] = kStiffRoll;
   }
   double walk_likelihood = 0, rate_likelihood = 0;
   PoseModel rate = walk;
@@ -116,7 +139,7 @@ double ChiSquareBound(int degrees, double share) {
 
 // How far an observation lies from what all others say, squared, in their common sigmas.
 double Contradiction(const PoseObservation& frame, const SmoothedPose& smoothed, bool taken) {
-  const Eigen::Index n = frame.of == Of::kPlane ? 3 : 1;
+  const Eigen::Index n = Entries(frame);
   const Eigen::VectorXd residual = (frame.pose - smoothed.pose).head(n);
   const Eigen::MatrixXd R = frame.cov.topLeftCorner(n, n);
   // With its own part taken out of the smoothed pose, where that is in it.
@@ -129,7 +152,8 @@ double Contradiction(const PoseObservation& frame, const SmoothedPose& smoothed,
 std::vector<SmoothedPose> SmoothWithout(std::span<const PoseObservation> frames,
                                         const PoseModel& model, double share,
                                         std::vector<std::uint8_t>* taken) {
-  const double bounds[2] = {ChiSquareBound(1, share), ChiSquareBound(3, share)};
+  const double bounds[4] = {0, ChiSquareBound(1, share), ChiSquareBound(2, share),
+                            ChiSquareBound(3, share)};
   for (int round = 0;; ++round) {
     std::vector<SmoothedPose> poses = internal::SmoothPoses(frames, *taken, model);
     if (round == kOutlierRounds) return poses;
@@ -138,8 +162,7 @@ std::vector<SmoothedPose> SmoothWithout(std::span<const PoseObservation> frames,
     for (std::size_t k = 0; k < frames.size(); ++k) {
       if (frames[k].of == Of::kNothing) continue;
       const bool in = (*taken)[k] != 0;
-      const double ratio =
-          Contradiction(frames[k], poses[k], in) / bounds[frames[k].of == Of::kPlane ? 1 : 0];
+      const double ratio = Contradiction(frames[k], poses[k], in) / bounds[Entries(frames[k])];
       const double wrong = in ? ratio : 1 / ratio;
       if (wrong > worst) {
         worst = wrong;
@@ -164,6 +187,9 @@ void CheckInput(std::span<const PoseObservation> frames, std::span<const WheelAx
         throw std::invalid_argument("SmoothRigRotation: frames with different calibration modes");
       }
     }
+    if (frames[k].top && frames[k].top->along_modes_mm.size() != frames[k].along_modes.size()) {
+      throw std::invalid_argument("SmoothRigRotation: a top without its calibration modes");
+    }
     if (!axes.empty() && axes.size() != frames[k].along_modes.size()) {
       throw std::invalid_argument("SmoothRigRotation: not an axis for each calibration mode");
     }
@@ -177,7 +203,8 @@ RigRotationFrame FrameOf(const PoseObservation& frame, const SmoothedPose& smoot
   RigRotationFrame result;
   result.time_s = frame.time_s;
   result.pose = smoothed.pose;
-  result.cov_random = smoothed.cov + smoothed.common * smoothed.common.transpose();
+  result.cov_random = smoothed.cov;
+  for (const RigPose& common : smoothed.common) result.cov_random += common * common.transpose();
   result.along_modes = smoothed.along_modes;
   result.sigma_random = result.cov_random.diagonal().cwiseMax(0).cwiseSqrt();
   for (const RigPose& change : smoothed.along_modes) {
@@ -188,8 +215,8 @@ RigRotationFrame FrameOf(const PoseObservation& frame, const SmoothedPose& smoot
   if (frame.of != Of::kNothing && !taken) {
     result.from = From::kOutlier;
     result.problem = "the other frames contradict what this one says by itself: left out";
-  } else if (frame.of == Of::kPlane) {
-    result.from = From::kPlane;
+  } else if (Entries(frame) > 1) {
+    result.from = frame.over_obstacle ? From::kObstacle : From::kPlane;
     result.lean =
         1 - (smoothed.cov(0, 0) / frame.cov(0, 0) + smoothed.cov(1, 1) / frame.cov(1, 1)) / 2;
   } else if (frame.of == Of::kPitch) {
@@ -203,7 +230,8 @@ RigRotationFrame FrameOf(const PoseObservation& frame, const SmoothedPose& smoot
   const char* names[3] = {"pitch", "roll", "height"};
   std::string unknown;
   for (int k = 0; k < 3; ++k) {
-    if (sigma[k] <= limit[k]) continue;
+    result.known[static_cast<std::size_t>(k)] = sigma[k] <= limit[k];
+    if (result.known[static_cast<std::size_t>(k)]) continue;
     unknown += fmt::format("{}{}", unknown.empty() ? "" : " and ", names[k]);
   }
   result.found = unknown.empty();
@@ -290,7 +318,7 @@ PoseObservation ObservePitch(double time_s, const DeformationSymmetry& symmetry,
   frame.pose[0] = symmetry.pitch_rad;
   const double sigma_rad = std::hypot(symmetry.sigma_noise_rad, symmetry.sigma_asymmetry_rad);
   frame.cov(0, 0) = sigma_rad * sigma_rad;
-  frame.common[0] = symmetry.sigma_asymmetry_rad;
+  frame.common[0][0] = symmetry.sigma_asymmetry_rad;
   for (const double pitch_rad : pitch_along_modes_rad) {
     frame.along_modes.emplace_back(pitch_rad - symmetry.pitch_rad, 0, 0);
   }
@@ -308,6 +336,9 @@ void RigRotationOptions::Check() const {
   }
   if (!(prior_sigma.array() > 0).all() || !prior.allFinite()) {
     throw UsageError("What is known of the first frame needs finite values and positive sigmas.");
+  }
+  if (!(sigma_obstacle_height_mm > 0) || !std::isfinite(obstacle_height_mm)) {
+    throw UsageError("What is known of an obstacle's height needs a value and a positive sigma.");
   }
   if (!(outlier_share > 0 && outlier_share < 0.1)) {
     throw UsageError("The share of frames that are taken for outliers lies between 0 and 0.1.");

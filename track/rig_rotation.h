@@ -1,6 +1,8 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
+#include <cstddef>
 #include <limits>
 #include <optional>
 #include <span>
@@ -32,17 +34,35 @@ GroundPlane PlaneOf(const RigPose& pose, const WheelAxis& axis);
 // ground_from_rig as in RigRotationFrame::ground.
 Rigid3 GroundOf(const RigPose& pose, const WheelAxis& axis);
 
+// Errors that are the same in all frames: of a lasting asymmetry or of the carcass's thickness, and
+// of the edge of narrow contacts.
+inline constexpr std::size_t kPoseCommon = 2;
+
+// The flat top of an obstacle that the tyre stands on. How high it is above the ground is not
+// known by itself: that is told by the frames in which ground is touched beside it, as long as it
+// is the same top, or by the user.
+struct ObstacleTop {
+  double below_axis_mm = 0;  // of WheelAxis::origin_in_rig_mm(), along the normal
+  // Random: with the frame's pitch, roll and height, and of itself.
+  Eigen::Vector4d cov = Eigen::Vector4d::Zero();
+  std::array<double, kPoseCommon> common_mm{};
+  std::vector<double> along_modes_mm;  // less below_axis_mm
+  bool as_before = false;  // the same as that of the last frame before this one that has a top
+};
+
 // What one frame says about the pose by itself.
 struct PoseObservation {
-  enum class Of { kNothing, kPitch, kPlane };
+  // kTurns: of an obstacle's top, parallel to the ground: pitch and roll.
+  enum class Of { kNothing, kPitch, kTurns, kPlane };
   double time_s = 0;
   Of of = Of::kNothing;
-  RigPose pose = RigPose::Zero();                 // kPitch: the first entry alone
-  Eigen::Matrix3d cov = Eigen::Matrix3d::Zero();  // random; kPitch: the first entry alone
-  // An error that is the same in all frames that have one: what a lasting asymmetry does.
-  RigPose common = RigPose::Zero();
+  RigPose pose = RigPose::Zero();  // kPitch, kTurns: the first one, two entries alone
+  Eigen::Matrix3d cov = Eigen::Matrix3d::Zero();  // random; likewise
+  std::array<RigPose, kPoseCommon> common = {RigPose::Zero(), RigPose::Zero()};
   std::vector<RigPose> along_modes;  // less `pose`, one a calibration mode
-  std::string why;                   // kNothing or kPitch: why there is no plane
+  std::optional<ObstacleTop> top;    // kTurns, kPlane
+  bool over_obstacle = false;        // from narrow contacts (fit/contact_levels.h)
+  std::string why;                   // not kPlane: why there is no plane
 };
 // plane.cov is taken as it is. along_modes, axis_along_modes: plane and axis as each calibration
 // mode has them, or both empty. Throws std::invalid_argument where their numbers differ.
@@ -64,6 +84,10 @@ struct RigRotationOptions {
   // pose and sigmas. Infinite where nothing is.
   RigPose prior = RigPose::Zero();
   RigPose prior_sigma = RigPose::Constant(std::numeric_limits<double>::infinity());
+  // Height above the ground of the flat tops that are stood on; its sigma infinite where nothing is
+  // known of it.
+  double obstacle_height_mm = 0;
+  double sigma_obstacle_height_mm = std::numeric_limits<double>::infinity();
   // A frame that is less likely than this under all others is left out.
   double outlier_share = 1e-5;
   // A pose less sure than this is none.
@@ -74,15 +98,17 @@ struct RigRotationOptions {
 };
 
 struct RigRotationFrame {
-  enum class From { kPlane, kPitch, kSmoother, kOutlier };
+  enum class From { kPlane, kObstacle, kPitch, kSmoother, kOutlier };
   double time_s = 0;
-  bool found = false;
-  std::string problem;  // where it was not found, or leaned wholly on others: why
+  bool found = false;           // all of the pose
+  std::array<bool, 3> known{};  // each entry of the pose
+  std::string problem;          // where it was not found, or leaned wholly on others: why
   From from = From::kSmoother;
   RigPose pose = RigPose::Zero();
   Eigen::Matrix3d cov_random = Eigen::Matrix3d::Zero();
   std::vector<RigPose> along_modes;  // less `pose`
   RigPose sigma_random = RigPose::Zero(), sigma_calibration = RigPose::Zero();
+  // kObstacle: from narrow contacts, on an obstacle or beside it.
   // How much of the angles comes from other frames: 0 all from its own plane, 1 nothing of it.
   double lean = 1;
   // z along the ground's normal, x where the wheel heads (the axis times z; the direction of travel

@@ -69,13 +69,6 @@ bool Inside(const std::vector<Polygon>& outlines, const Eigen::Vector2d& p) {
   return inside;
 }
 
-Image<Eigen::Vector3d> Moved(Image<Eigen::Vector3d> points_mm, const Image<Eigen::Vector3f>& by) {
-  for (std::size_t i = 0; i < points_mm.pixel_count(); ++i) {
-    points_mm.data()[i] += by.data()[i].cast<double>();
-  }
-  return points_mm;
-}
-
 class ContactOfRun {
  public:
   ContactOfRun(const WheelReference& reference, const RollingWheel& rolling,
@@ -89,8 +82,9 @@ class ContactOfRun {
                                                     options.subset_px, 1)) {
     const double area =
         std::pow(std::max(1.0, static_cast<double>(options.subset_px) / rolling.spacing_px), 2);
-    options_.flat.correlation_area_points = area;
-    options_.symmetry.correlation_area_points = area;
+    options_.ground.flat.correlation_area_points = area;
+    options_.ground.levels.correlation_area_points = area;
+    options_.ground.symmetry.correlation_area_points = area;
     options_.patch.correlation_area_points = area;
     options_.deformation.centre_y_mm =
         std::isfinite(reference.profile.crown_y_mm) ? reference.profile.crown_y_mm : 0;
@@ -104,8 +98,8 @@ class ContactOfRun {
                      const std::vector<Eigen::Vector2d>& right, FramePoints* out) const;
   void AddModes(std::size_t f, const std::vector<Eigen::Vector2d>& left,
                 const std::vector<Eigen::Vector2d>& right, FramePoints* out) const;
-  PoseObservation Observe(const FramePoints& points) const;
-  PoseObservation ObserveSymmetry(const FramePoints& points, const std::string& why) const;
+  GroundObservation Observe(std::size_t f) const;
+  std::vector<PoseObservation> ObserveAll() const;
   void TurnByHand(RollingContact* contact) const;
   void FindPatchesOf(RollingContact* contact) const;
   std::optional<FrameOverGround> OverGround(std::size_t f, const RollingContact& contact) const;
@@ -230,58 +224,39 @@ double ContactOfRun::SigmaOf(const FramePoints& points) const {
   return sigmas.empty() ? kNone : Median(std::move(sigmas));
 }
 
-PoseObservation ContactOfRun::Observe(const FramePoints& points) const {
-  std::string why;
-  const auto flat = FindFlatContact(points.now.point_mm, points.cov_mm2, points.thickness_mm,
-                                    reference_.axis, options_.flat, &why);
-  if (!flat) return ObserveSymmetry(points, why);
-  std::vector<GroundPlane> along;
-  const std::vector<Image<Eigen::Vector3f>>& modes = points.now.along_modes_mm;
-  const std::vector<Image<double>>& carcass = points.thickness_along_modes;
-  for (std::size_t k = 0; k < modes.size(); ++k) {
-    const std::size_t left = modes.size() - k;
-    const Image<double>& thickness =
-        left > carcass.size() ? points.thickness_mm : carcass[carcass.size() - left];
-    along.push_back(
-        RefitFlatContact(*flat, Moved(points.now.point_mm, modes[k]), points.cov_mm2, thickness));
-  }
-  PoseObservation observed =
-      ObservePlane(points.time_s, flat->plane, reference_.axis, along, axes_);
-  for (const Image<Eigen::Vector3f>& error : points.along_pose_mm) {
-    const GroundPlane there = RefitFlatContact(*flat, Moved(points.now.point_mm, error),
-                                               points.cov_mm2, points.thickness_mm);
-    const RigPose off = PoseOf(there, reference_.axis) - observed.pose;
-    observed.cov += off * off.transpose();
-  }
-  return observed;
+GroundObservation ContactOfRun::Observe(std::size_t f) const {
+  const FramePoints points = PointsOf(f);
+  return ObserveGround({.time_s = points.time_s,
+                        .point_mm = points.now.point_mm,
+                        .cov_mm2 = points.cov_mm2,
+                        .thickness_mm = points.thickness_mm,
+                        .left_out_mm = ThicknessLeftOutOver(
+                            options_.carcass, points.undeformed.point_mm, reference_.axis),
+                        .sigma_mm = SigmaOf(points),
+                        .along_modes_mm = points.now.along_modes_mm,
+                        .thickness_along_modes = points.thickness_along_modes,
+                        .along_pose_mm = points.along_pose_mm},
+                       reference_.axis, axes_, neighbours_, options_.ground);
 }
 
-PoseObservation ContactOfRun::ObserveSymmetry(const FramePoints& points,
-                                              const std::string& why) const {
-  PoseObservation nothing;
-  nothing.time_s = points.time_s;
-  std::string why_not;
-  const double sigma = SigmaOf(points);
-  const auto symmetry =
-      FindSymmetry(points.now.point_mm, sigma, reference_.axis, 0, options_.symmetry, &why_not);
-  if (!symmetry) {
-    nothing.why = why + "; " + why_not;
-    return nothing;
+std::vector<PoseObservation> ContactOfRun::ObserveAll() const {
+  std::vector<GroundObservation> frames(rolling_.frames.size());
+  std::vector<double> travel_mm;
+  for (std::size_t f = 0; f < frames.size(); ++f) {
+    const double angle_rad = rolling_.frames[f].angle_rad;
+    // About as far as the wheel turns: what slip and load make of it is little between two frames.
+    travel_mm.push_back(angle_rad * reference_.profile.crown_radius_mm);
+    if (Placed(f)) {
+      frames[f] = Observe(f);
+    } else {
+      frames[f].pose.time_s = TimeOf(f);
+      frames[f].pose.why = rolling_.frames[f].problem;
+    }
   }
-  std::vector<double> along;
-  for (std::size_t k = 0; k < axes_.size(); ++k) {
-    const auto there = FindSymmetry(Moved(points.now.point_mm, points.now.along_modes_mm[k]), sigma,
-                                    axes_[k], 0, options_.symmetry);
-    along.push_back(there ? there->pitch_rad - symmetry->pitch_rad : 0);
-  }
-  PoseObservation pitch = ObservePitch(points.time_s, *symmetry, along);
-  pitch.why = why;
-  for (const Image<Eigen::Vector3f>& error : points.along_pose_mm) {
-    const auto there = FindSymmetry(Moved(points.now.point_mm, error), sigma, reference_.axis, 0,
-                                    options_.symmetry);
-    if (there) pitch.cov(0, 0) += std::pow(there->pitch_rad - symmetry->pitch_rad, 2);
-  }
-  return pitch;
+  LinkTops(travel_mm, frames);
+  std::vector<PoseObservation> observations;
+  for (GroundObservation& frame : frames) observations.push_back(std::move(frame.pose));
+  return observations;
 }
 
 // The same pose in all frames, without error: that is what the user says.
@@ -296,6 +271,7 @@ void ContactOfRun::TurnByHand(RollingContact* contact) const {
     plane.normal = ground.rotation.row(2);
     plane.offset_mm = -ground.translation_mm.z();
     rotation.found = true;
+    rotation.known.fill(true);
     rotation.from = RigRotationFrame::From::kPlane;
     rotation.pose = PoseOf(plane, reference_.axis);
     rotation.lean = 0;
@@ -433,15 +409,8 @@ RollingContact ContactOfRun::Find() {
   if (options_.manual_turns_deg) {
     TurnByHand(&contact);
   } else {
-    std::vector<PoseObservation> observations;
-    for (std::size_t f = 0; f < count; ++f) {
-      PoseObservation observation;
-      observation.time_s = TimeOf(f);
-      observation.why = rolling_.frames[f].problem;
-      observations.push_back(Placed(f) ? Observe(PointsOf(f)) : std::move(observation));
-    }
     const RigRotation rotation =
-        SmoothRigRotation(observations, reference_.axis, axes_, options_.rotation);
+        SmoothRigRotation(ObserveAll(), reference_.axis, axes_, options_.rotation);
     contact.found = rotation.found;
     contact.problem = rotation.problem;
     for (std::size_t f = 0; f < count; ++f) contact.frames[f].rotation = rotation.frames[f];
@@ -479,8 +448,7 @@ UncertainFrame GroundFrameOf(const RigRotationFrame& rotation, const WheelAxis& 
 
 void RollingContactOptions::Check() const {
   carcass.Check();
-  flat.Check();
-  symmetry.Check();
+  ground.Check();
   rotation.Check();
   patch.Check();
   slip.Check();

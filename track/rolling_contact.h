@@ -6,8 +6,7 @@
 #include <vector>
 
 #include "fit/carcass_thickness.h"
-#include "fit/deformation_symmetry.h"
-#include "fit/flat_contact.h"
+#include "track/ground_observation.h"
 #include "track/patch_series.h"
 #include "track/rig_rotation.h"
 #include "track/rolling_slip.h"
@@ -19,8 +18,7 @@ namespace plumbline {
 
 struct RollingContactOptions {
   CarcassThickness carcass;  // the cameras do not see it
-  FlatContactOptions flat;
-  SymmetryOptions symmetry;
+  GroundObservationOptions ground;
   RigRotationOptions rotation;
   PatchSeriesOptions patch;  // noise and correlation are those of the points
   RollingSlipOptions slip;
@@ -61,12 +59,12 @@ struct RollingContact {
 // From the points of a survey to how the rig stands over the ground, where the tyre touches it, how
 // it is deformed and how it slips, frame by frame:
 //
-//   points -> plane of the flat contact, or symmetry -> smoothed rotation of the rig -> ground
+//   points -> planes of flat contacts, or symmetry -> smoothed rotation of the rig -> ground
 //          -> contact patch (law of lift-off), deformation, velocity of the material, slip
 //
 // Ground frames of frames in a row, as a smoother leaves them, are taken to err alike.
 // Where the carcass's thickness has a sigma, reference and survey are those of WithCarcassModes().
-// Throws UsageError from the options, InputError as FindFlatContact and SmoothRigRotation,
+// Throws UsageError from the options, InputError as ObserveGround and SmoothRigRotation,
 // std::invalid_argument where the reference has fewer modes than the carcass.
 // Accuracy: tests/track/rolling_contact_test.cc.
 [[nodiscard]] RollingContact FindRollingContact(const WheelReference& reference,

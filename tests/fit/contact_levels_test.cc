@@ -179,7 +179,7 @@ TEST(ContactLevels, PartsFollowTheirPoints) {
   }
 }
 
-TEST(CarcassThickness, StraightLinesLeaveOutTheirCurvature) {
+TEST(CarcassThickness, TellsWhatItsCurveMayLeaveOut) {
   CarcassThickness parabola;
   for (double y = -20; y <= 20; y += 5) {
     parabola.y_mm.push_back(y);
@@ -188,7 +188,6 @@ TEST(CarcassThickness, StraightLinesLeaveOutTheirCurvature) {
   for (const double y : {-19.0, -2.5, 0.0, 7.0, 17.5}) {
     EXPECT_NEAR(parabola.At(y) + parabola.LeftOutAt(y), 20 + y * y / 100, 1e-12) << y;
   }
-  EXPECT_NEAR(parabola.LeftOutAt(2.5), -0.0625, 1e-12);
   EXPECT_TRUE(std::isnan(parabola.LeftOutAt(21)));
   EXPECT_EQ((CarcassThickness{{}, {20}}).LeftOutAt(5), 0);
   EXPECT_EQ((CarcassThickness{{-5, 5}, {20, 21}}).LeftOutAt(0), 0);

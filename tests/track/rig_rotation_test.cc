@@ -358,14 +358,14 @@ TEST(RigRotation, OfTheVirtualTyreOverObstacles) {
   EXPECT_GT(own.coverage(), 0.8);
 }
 
-TEST(RigRotation, OverABarAlongTheWayNeedsToKnowRollAndHeight) {
-  Scenario scenario = TyreScenario("cleat-longitudinal-square38", {0.8, 1.5, 0.4});
+TEST(RigRotation, OverARidgeAlongTheWayNeedsToKnowRollAndHeight) {
+  Scenario scenario = TyreScenario("cleat-longitudinal-angle40", {0.8, 1.5, 0.4});
   scenario.frames = 3;
   const VirtualRun without = RunScenario(scenario, 0.06, 2, 1);
   EXPECT_EQ(without.not_found, without.frames);
   EXPECT_LT(without.pitch.rms(), 0.1 * kDegree);  // that of the symmetry
   RigRotationOptions options;
-  options.prior = RigPose(0, 0, 398);  // as from a run on flat ground, and the bar's height
+  options.prior = RigPose(0, 0, 393);  // as from a run on flat ground, and the iron's height
   options.prior_sigma = RigPose(std::numeric_limits<double>::infinity(), 5e-4, 3);
   const VirtualRun with = RunScenario(scenario, 0.06, 2, 1, options);
   EXPECT_EQ(with.not_found, 0);

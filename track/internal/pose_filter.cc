@@ -1,6 +1,7 @@
 #include "track/internal/pose_filter.h"
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 
@@ -13,10 +14,13 @@ constexpr double kAnywhere_rad = 0.35, kAnywhere_mm = 100;
 constexpr double kRate_rad_s = 0.35, kRate_mm_s = 200;
 constexpr double kLeastNoise = 1e-12;
 
-int Dimensions(const PoseObservation& frame) {
+// Of pitch, roll, height, in this order; the height above a top comes on top.
+int AnglesAndHeight(const PoseObservation& frame) {
   switch (frame.of) {
     case PoseObservation::Of::kPlane:
       return 3;
+    case PoseObservation::Of::kTurns:
+      return 2;
     case PoseObservation::Of::kPitch:
       return 1;
     default:
@@ -26,9 +30,12 @@ int Dimensions(const PoseObservation& frame) {
 
 // Pitch, roll, height out of the state.
 constexpr int kPlaceOf[3] = {0, 2, 3};
+constexpr int kTop = 5;
+constexpr Eigen::Index kFixedColumns = 1 + kPoseCommon;
 
 struct Prediction {
   PoseStateCov F = PoseStateCov::Identity(), Q = PoseStateCov::Zero();
+  PoseState added = PoseState::Zero();
 };
 
 Prediction Predict(const PoseModel& model, const PoseObservation& from, const PoseObservation& to) {
@@ -53,10 +60,16 @@ Prediction Predict(const PoseModel& model, const PoseObservation& from, const Po
   if (from.of != PoseObservation::Of::kPlane || to.of != PoseObservation::Of::kPlane) {
     p.Q(3, 3) += model.unseen_height_mm * model.unseen_height_mm * dt_s;
   }
+  const PoseObservation& later = to.time_s > from.time_s ? to : from;
+  if (later.top && !later.top->as_before) {
+    p.F(kTop, kTop) = 0;
+    p.Q(kTop, kTop) = model.sigma_obstacle_mm * model.sigma_obstacle_mm;
+    p.added[kTop] = model.obstacle_mm;
+  }
   return p;
 }
 
-// The state's columns: the value, what the common error does to it, and each calibration mode.
+// The state's columns: the value, what each common error does to it, and each calibration mode.
 using Columns = Eigen::Matrix<double, kPoseState, Eigen::Dynamic>;
 
 struct Gaussian {
@@ -74,41 +87,58 @@ Gaussian Start(const PoseModel& model, Eigen::Index columns) {
   const double rate_mm_s = model.with_rate ? kRate_mm_s : 1e-9;
   start.cov(1, 1) = rate_rad_s * rate_rad_s;
   start.cov(4, 4) = rate_mm_s * rate_mm_s;
+  start.mean(kTop, 0) = model.obstacle_mm;
+  start.cov(kTop, kTop) = model.sigma_obstacle_mm * model.sigma_obstacle_mm;
   return start;
 }
 
 Gaussian Advance(const Gaussian& from, const Prediction& p) {
-  return {p.F * from.mean, p.F * from.cov * p.F.transpose() + p.Q};
+  Gaussian to{p.F * from.mean, p.F * from.cov * p.F.transpose() + p.Q};
+  to.mean.col(0) += p.added;
+  return to;
 }
 
 struct Innovation {
-  Eigen::Matrix<double, 3, kPoseState> H = Eigen::Matrix<double, 3, kPoseState>::Zero();
-  Eigen::MatrixXd R, S, residual;  // residual: n x columns
+  Eigen::MatrixXd H, R, S, residual;  // residual: a row an observed number, as the state's columns
 };
 
 Innovation Innovate(const PoseObservation& frame, const Gaussian& state) {
-  const int n = Dimensions(frame);
+  const Eigen::Index n = AnglesAndHeight(frame), rows = n + (frame.top ? 1 : 0);
   Innovation in;
-  for (int k = 0; k < n; ++k) in.H(k, kPlaceOf[k]) = 1;
-  const auto H = in.H.topRows(n);
-  in.R = frame.cov.topLeftCorner(n, n);
-  in.S = H * state.cov * H.transpose() + in.R;
-  in.residual = -H * state.mean;
-  in.residual.col(0) += frame.pose.head(n);
-  if (in.residual.cols() > 1) in.residual.col(1) += frame.common.head(n);
-  for (Eigen::Index m = 2; m < in.residual.cols(); ++m) {
-    in.residual.col(m) += frame.along_modes[static_cast<std::size_t>(m - 2)].head(n);
+  in.H = Eigen::MatrixXd::Zero(rows, kPoseState);
+  in.R = Eigen::MatrixXd::Zero(rows, rows);
+  for (Eigen::Index k = 0; k < n; ++k) in.H(k, kPlaceOf[k]) = 1;
+  in.R.topLeftCorner(n, n) = frame.cov.topLeftCorner(n, n);
+  if (frame.top) {
+    in.H(n, kPlaceOf[2]) = 1;
+    in.H(n, kTop) = -1;
+    in.R.col(n).head(n) = frame.top->cov.head(n);
+    in.R.row(n).head(n) = frame.top->cov.head(n).transpose();
+    in.R(n, n) = frame.top->cov[3];
+  }
+  in.S = in.H * state.cov * in.H.transpose() + in.R;
+  in.residual = -in.H * state.mean;
+  const auto add = [&](Eigen::Index column, const RigPose& pose, double above_top_mm) {
+    in.residual.col(column).head(n) += pose.head(n);
+    if (frame.top) in.residual(n, column) += above_top_mm;
+  };
+  add(0, frame.pose, frame.top ? frame.top->below_axis_mm : 0);
+  if (in.residual.cols() == 1) return in;
+  for (std::size_t k = 0; k < kPoseCommon; ++k) {
+    add(1 + static_cast<Eigen::Index>(k), frame.common[k], frame.top ? frame.top->common_mm[k] : 0);
+  }
+  for (Eigen::Index m = kFixedColumns; m < in.residual.cols(); ++m) {
+    const auto mode = static_cast<std::size_t>(m - kFixedColumns);
+    add(m, frame.along_modes[mode], frame.top ? frame.top->along_modes_mm[mode] : 0);
   }
   return in;
 }
 
 void Update(const Innovation& in, Gaussian* state) {
-  const auto n = in.S.rows();
-  const auto H = in.H.topRows(n);
-  const Eigen::MatrixXd gain = in.S.ldlt().solve(H * state->cov).transpose();
+  const Eigen::MatrixXd gain = in.S.ldlt().solve(in.H * state->cov).transpose();
   state->mean += gain * in.residual;
   // Joseph's form stays positive.
-  const PoseStateCov keep = PoseStateCov::Identity() - gain * H;
+  const PoseStateCov keep = PoseStateCov::Identity() - gain * in.H;
   state->cov = keep * state->cov * keep.transpose() + gain * in.R * gain.transpose();
 }
 
@@ -126,17 +156,18 @@ PoseLikelihood LikelihoodOf(std::span<const PoseObservation> frames, const PoseM
       const PoseObservation& before = frames[backwards ? at + 1 : at - 1];
       state = Advance(state, Predict(model, before, frame));
     }
-    const int n = Dimensions(frame);
+    const int n = AnglesAndHeight(frame);
     if (n == 0) continue;
     const Innovation in = Innovate(frame, state);
     const Eigen::LDLT<Eigen::MatrixXd> solver(in.S);
     const Eigen::VectorXd z = in.residual.col(0);
     const double good =
-        std::log(1 - kBadShare) - (n * std::log(2 * std::numbers::pi) +
+        std::log(1 - kBadShare) - (static_cast<double>(z.size()) * std::log(2 * std::numbers::pi) +
                                    solver.vectorD().array().log().sum() + z.dot(solver.solve(z))) /
                                       2;
-    const double bad = std::log(kBadShare) - std::log(kAnywhere_rad) -
-                       (n == 3 ? std::log(kAnywhere_rad * kAnywhere_mm) : 0);
+    const double heights = (n == 3 ? 1 : 0) + (frame.top ? 1 : 0);
+    const double bad = std::log(kBadShare) - std::min(n, 2) * std::log(kAnywhere_rad) -
+                       heights * std::log(kAnywhere_mm);
     const double larger = std::max(good, bad);
     result.log_likelihood += larger + std::log(std::exp(good - larger) + std::exp(bad - larger));
     if (good < bad) continue;
@@ -159,7 +190,7 @@ std::vector<SmoothedPose> SmoothPoses(std::span<const PoseObservation> frames,
   std::vector<Prediction> steps;
   for (std::size_t k = 0; k < frames.size(); ++k) {
     if (k == 0) {
-      predicted.push_back(Start(model, 2 + modes));
+      predicted.push_back(Start(model, kFixedColumns + modes));
     } else {
       steps.push_back(Predict(model, frames[k - 1], frames[k]));
       predicted.push_back(Advance(filtered.back(), steps.back()));
@@ -183,8 +214,12 @@ std::vector<SmoothedPose> SmoothPoses(std::span<const PoseObservation> frames,
       return RigPose(mean(0, column), mean(2, column), mean(3, column));
     };
     poses[k].pose = pick(0);
-    poses[k].common = pick(1);
-    for (Eigen::Index m = 0; m < modes; ++m) poses[k].along_modes.push_back(pick(2 + m));
+    for (std::size_t c = 0; c < kPoseCommon; ++c) {
+      poses[k].common[c] = pick(1 + static_cast<Eigen::Index>(c));
+    }
+    for (Eigen::Index m = 0; m < modes; ++m) {
+      poses[k].along_modes.push_back(pick(kFixedColumns + m));
+    }
     for (int i = 0; i < 3; ++i) {
       for (int j = 0; j < 3; ++j) {
         poses[k].cov(i, j) = smoothed[k].cov(kPlaceOf[i], kPlaceOf[j]);

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -9,8 +10,8 @@
 
 namespace plumbline::internal {
 
-// The state of the pose: pitch, its rate, roll, height, its rate.
-inline constexpr int kPoseState = 5;
+// The state of the pose: pitch, its rate, roll, height, its rate, height of the top stood on.
+inline constexpr int kPoseState = 6;
 using PoseState = Eigen::Matrix<double, kPoseState, 1>;
 using PoseStateCov = Eigen::Matrix<double, kPoseState, kPoseState>;
 
@@ -19,6 +20,7 @@ struct PoseModel {
   RigPose noise = RigPose::Zero();  // as in RigRotation
   double unseen_height_mm = 0;      // a sqrt(s), on top where there is no plane
   RigPose prior = RigPose::Zero(), prior_sigma = RigPose::Zero();  // finite
+  double obstacle_mm = 0, sigma_obstacle_mm = 0;  // of a top that was not stood on before
 };
 
 // Which frames' observations are taken, and how likely they are together.
@@ -35,7 +37,7 @@ PoseLikelihood LikelihoodOf(std::span<const PoseObservation> frames, const PoseM
 struct SmoothedPose {
   RigPose pose = RigPose::Zero();
   Eigen::Matrix3d cov = Eigen::Matrix3d::Zero();
-  RigPose common = RigPose::Zero();
+  std::array<RigPose, kPoseCommon> common = {RigPose::Zero(), RigPose::Zero()};
   std::vector<RigPose> along_modes;
 };
 
