@@ -92,8 +92,9 @@ struct SlipRecord {
 };
 
 // How a rig that is held by a torque arm stands over the ground, smoothed over the frames, as
-// /rig_rotation holds it (RigPose in track/rig_rotation.h). Where it was found, all but the sigmas
-// are numbers.
+// /rig_rotation holds it (RigPose in track/rig_rotation.h). Where it was found, all but the height
+// and the sigmas are numbers: on an obstacle of which nothing tells how high it is the height is
+// none, and `problem` says so.
 struct RigRotationRecord {
   bool found = false;
   std::string problem;  // why not

@@ -5,6 +5,7 @@
 #include <algorithm>
 #include <charconv>
 #include <cmath>
+#include <numbers>
 #include <utility>
 
 #include "calib/error.h"
@@ -12,6 +13,10 @@
 
 namespace plumbline::internal {
 namespace {
+
+constexpr double kDegree = std::numbers::pi / 180;
+// Of a height that is said without a standard deviation.
+constexpr double kExactly_mm = 1e-3;
 
 // Numbers parted by one character; nothing where it is not that.
 std::optional<std::vector<double>> ParseNumbers(const std::string& text, char parted_by) {
@@ -101,6 +106,19 @@ void ContactOptionSet::Declare(OptionTable& options) {
                        "contact with the ground in every frame, smoothed",
                .unit = "deg"},
               &ground_turns_);
+  options.Add({.name = "obstacle-height",
+               .help = "how high the flat top of an obstacle is above the ground, where no ground "
+                       "is touched beside it, as 38, or with the standard deviation of that as "
+                       "38,0.2; of all flat tops in the recording. Empty: not known, but for what "
+                       "frames tell that touch both",
+               .unit = "mm"},
+              &obstacle_height_);
+  options.Add({.name = "camber",
+               .help = "how the wheel's axis leans against the ground, positive with its left end "
+                       "up, and the standard deviation of that, as 0,0.1: of the first frame, for "
+                       "recordings in which nothing flat tells it",
+               .unit = "deg"},
+              &camber_);
   options.Add({.name = "contact-threshold",
                .help = "gap that still counts as contact where the law of lift-off does not hold, "
                        "as over an obstacle",
@@ -166,6 +184,30 @@ RollingContactOptions ContactOptionSet::Options(double crown_y_mm) const {
                       ground_turns_));
     }
     options.manual_turns_deg = Eigen::Vector3d((*turns)[0], (*turns)[1], (*turns)[2]);
+  }
+  if (!obstacle_height_.empty()) {
+    const auto height = ParseNumbers(obstacle_height_, ',');
+    if (!height || height->empty() || height->size() > 2 || !((*height)[0] > 0) ||
+        (height->size() == 2 && !((*height)[1] > 0))) {
+      throw UsageError(
+          fmt::format("An obstacle's height is a number of mm above 0, as 38, or that and its "
+                      "standard deviation above 0, as 38,0.2, not '{}'.",
+                      obstacle_height_));
+    }
+    options.rotation.obstacle_height_mm = (*height)[0];
+    options.rotation.sigma_obstacle_height_mm = height->size() == 2 ? (*height)[1] : kExactly_mm;
+  }
+  if (!camber_.empty()) {
+    const auto camber = ParseNumbers(camber_, ',');
+    if (!camber || camber->size() != 2 || !(std::abs((*camber)[0]) < 90) || !((*camber)[1] > 0)) {
+      throw UsageError(
+          fmt::format("The camber is an angle in degrees and its standard deviation above 0, as "
+                      "0,0.1, not '{}'.",
+                      camber_));
+    }
+    // The normal is (..., -sin roll, ...) along the axis.
+    options.rotation.prior[1] = -(*camber)[0] * kDegree;
+    options.rotation.prior_sigma[1] = (*camber)[1] * kDegree;
   }
   if (radius_mm_) {
     MeasuredScalar radius;

@@ -39,7 +39,8 @@ class ContactOptionSet {
  private:
   CarcassThickness Carcass(double crown_y_mm) const;
 
-  std::string carcass_ = "0", ground_turns_, vehicle_speed_, wheel_speed_, convention_ = "iso8855";
+  std::string carcass_ = "0", ground_turns_, obstacle_height_, camber_, vehicle_speed_,
+              wheel_speed_, convention_ = "iso8855";
   double vehicle_speed_sigma_m_s_ = 0, radius_sigma_mm_ = 0, threshold_mm_ = 0.5;
   double carcass_sigma_mm_ = 0;
   std::optional<double> radius_mm_;

@@ -62,23 +62,24 @@ GroundRecord GroundRecordOf(const RigRotationFrame& rotation) {
 
 RigRotationRecord RigRotationRecordOf(const RigRotationFrame& rotation) {
   RigRotationRecord record;
-  record.found = rotation.found;
-  if (!rotation.found) {
-    record.problem = Reason(rotation.problem);
-    return record;
-  }
+  // The turns are there without the height, as on an obstacle of which nobody said how high it is.
+  record.found = rotation.known[0] && rotation.known[1];
+  if (!rotation.found) record.problem = Reason(rotation.problem);
+  if (!record.found) return record;
+  const bool calibration = !rotation.along_modes.empty();
   record.pitch_rad = rotation.pose[0];
   record.roll_rad = rotation.pose[1];
-  record.height_mm = rotation.pose[2];
   record.sigma_random_pitch_rad = rotation.sigma_random[0];
   record.sigma_random_roll_rad = rotation.sigma_random[1];
-  record.sigma_random_height_mm = rotation.sigma_random[2];
-  if (!rotation.along_modes.empty()) {
+  if (calibration) {
     record.sigma_calibration_pitch_rad = rotation.sigma_calibration[0];
     record.sigma_calibration_roll_rad = rotation.sigma_calibration[1];
-    record.sigma_calibration_height_mm = rotation.sigma_calibration[2];
   }
   record.lean = rotation.lean;
+  if (!rotation.known[2]) return record;
+  record.height_mm = rotation.pose[2];
+  record.sigma_random_height_mm = rotation.sigma_random[2];
+  if (calibration) record.sigma_calibration_height_mm = rotation.sigma_calibration[2];
   return record;
 }
 

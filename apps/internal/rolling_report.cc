@@ -54,12 +54,16 @@ std::string TextOf(const RollingReport& report) {
       Measured(w.speed_rad_s, w.sigma_random_speed_rad_s, w.sigma_calibration_speed_rad_s, 5));
   if (!r.found) return text + fmt::format("  Ground: not found: {}.\n", r.problem);
   text += fmt::format(
-      "  Rig over the ground: pitch {}, roll {} deg, axis {} mm high; {:.0f} % from other "
-      "frames.\n",
+      "  Rig over the ground: pitch {}, roll {} deg, axis {}; {:.0f} % from other frames.\n",
       Measured(r.pitch_rad, r.sigma_random_pitch_rad, r.sigma_calibration_pitch_rad, 3, kDegrees),
       Measured(r.roll_rad, r.sigma_random_roll_rad, r.sigma_calibration_roll_rad, 3, kDegrees),
-      Measured(r.height_mm, r.sigma_random_height_mm, r.sigma_calibration_height_mm, 2),
+      std::isfinite(r.height_mm)
+          ? Measured(r.height_mm, r.sigma_random_height_mm, r.sigma_calibration_height_mm, 2) +
+                " mm high"
+          : "at a height not known",
       100 * r.lean);
+  if (!std::isfinite(r.height_mm))
+    return text + fmt::format("  Ground: not found: {}.\n", r.problem);
   if (d.found) {
     text += fmt::format(
         "  Deflection {} mm under the axis; carcass shifted by {} mm along, {} mm across.\n",

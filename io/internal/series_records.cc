@@ -278,8 +278,7 @@ RecordGroup RigRotationGroup() {
   add.Measured({"roll_rad", "rad", "turn of the ground about the wheel's heading"}, &R::roll_rad,
                &R::sigma_random_roll_rad, &R::sigma_calibration_roll_rad, {}, true);
   add.Measured({"height_mm", "mm", "height of the wheel frame's origin above the ground"},
-               &R::height_mm, &R::sigma_random_height_mm, &R::sigma_calibration_height_mm, {},
-               true);
+               &R::height_mm, &R::sigma_random_height_mm, &R::sigma_calibration_height_mm);
   add.Stored({"lean", "1", "0: all from the frame's own plane, 1: all from other frames"}, &R::lean)
       .needed = true;
   return add.Take();

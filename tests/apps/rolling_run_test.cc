@@ -289,6 +289,9 @@ TEST_F(RollingTyre, IsMeasuredByTheCommand) {
   refused(wheel + " --carcass 20,20", 2, "thickness in mm");
   refused(wheel + " --carcass=10:20,-10:20", 2, "ascend");
   refused(wheel + " --ground-turns 157", 2, "three angles");
+  refused(wheel + " --obstacle-height 0", 2, "above 0");
+  refused(wheel + " --obstacle-height 38,0.1,2", 2, "above 0");
+  refused(wheel + " --camber 1", 2, "standard deviation");
   refused(wheel + " --fps 10 --vehicle-speed v", 2, "no channel 'v'");
   refused("--reference " + path("rig.h5"), 3, "rig.h5");
   refused("--reference " + path("none.h5"), 3, "none.h5");
