@@ -16,6 +16,8 @@ namespace plumbline {
 namespace {
 
 using internal::EdgeRamp;
+using internal::NearestInt;
+using internal::Shade;
 using Kind = BoardSpec::Kind;
 
 // From a disc to the nearest others.
@@ -30,7 +32,7 @@ struct Box {
   Eigen::Vector2d low, high;
 };
 
-// The patterns: share of ink, 0 to 1, at a place of the sheet.
+// The patterns: the ink at a place of the sheet.
 
 // Black and white squares around columns x rows inner corners, the first corner at the origin; the
 // square between the first four is black.
@@ -39,17 +41,23 @@ struct CheckerInk {
   int columns, rows;
   EdgeRamp ramp;
 
-  // +1 and -1 in turn along an axis.
-  double Wave(double x, int count) const {
-    const int line = std::clamp(static_cast<int>(std::lround(x / pitch)), 0, count - 1);
-    const double side = 2 * ramp(x - line * pitch) - 1;
-    return line % 2 == 0 ? side : -side;
+  struct Along {
+    double wave;    // +1 and -1 in turn
+    double inside;  // of the outermost edges
+    double same_mm;
+  };
+  Along Look(double x, int count) const {
+    const int line = std::clamp(NearestInt(x / pitch), 0, count - 1);
+    const double from_line = x - line * pitch;
+    const double from_end = std::min(x + pitch, count * pitch - x);
+    const double side = 2 * ramp(from_line) - 1;
+    return {line % 2 == 0 ? side : -side, ramp(from_end),
+            std::min(ramp.Clear(from_line), ramp.Clear(from_end))};
   }
-  double Inside(double x, int count) const { return ramp(std::min(x + pitch, count * pitch - x)); }
 
-  double operator()(const Eigen::Vector2d& p) const {
-    return (0.5 + 0.5 * Wave(p.x(), columns) * Wave(p.y(), rows)) * Inside(p.x(), columns) *
-           Inside(p.y(), rows);
+  Shade operator()(const Eigen::Vector2d& p) const {
+    const Along x = Look(p.x(), columns), y = Look(p.y(), rows);
+    return {(0.5 + 0.5 * x.wave * y.wave) * x.inside * y.inside, std::min(x.same_mm, y.same_mm)};
   }
 };
 
@@ -62,18 +70,27 @@ struct DiscInk {
   int big;  // id, or -1
   EdgeRamp ramp;
 
+  // From a place to where another disc is looked at; the outermost ones are for all beyond too.
+  static double ToNext(double from_centre, double half) {
+    const double d = std::abs(from_centre);
+    return d <= half ? half - d : half + d;
+  }
+
   // No disc is wider than a pitch, so only the one of the nearest row and column can cover a place.
-  double operator()(const Eigen::Vector2d& p) const {
-    const int r = std::clamp(static_cast<int>(std::lround(p.y() / pitch)), 0, rows - 1);
+  Shade operator()(const Eigen::Vector2d& p) const {
+    const int r = std::clamp(NearestInt(p.y() / pitch), 0, rows - 1);
     const int shift = staggered ? r % 2 : 0, stretch = staggered ? 2 : 1;
-    const int c = std::clamp(static_cast<int>(std::lround((p.x() / pitch - shift) / stretch)), 0,
-                             columns - 1);
-    const Eigen::Vector2d centre((stretch * c + shift) * pitch, r * pitch);
-    const double distance = (p - centre).norm();
+    const int c = std::clamp(NearestInt((p.x() / pitch - shift) / stretch), 0, columns - 1);
+    const Eigen::Vector2d from = p - Eigen::Vector2d((stretch * c + shift) * pitch, r * pitch);
+    const double distance = from.norm();
     const int id = r * columns + c;
-    if (id == big) return ramp(kBigDisc * radius - distance);
-    double ink = ramp(radius - distance);
-    if (id == rings[0] || id == rings[1] || id == rings[2]) ink *= ramp(distance - hole);
+    const double within = (id == big ? kBigDisc * radius : radius) - distance;
+    Shade ink{ramp(within), std::min({ramp.Clear(within), ToNext(from.x(), stretch * pitch / 2),
+                                      ToNext(from.y(), pitch / 2)})};
+    if (id != big && (id == rings[0] || id == rings[1] || id == rings[2])) {
+      ink.share *= ramp(distance - hole);
+      ink.same_mm = std::min(ink.same_mm, ramp.Clear(distance - hole));
+    }
     return ink;
   }
 };
@@ -84,18 +101,19 @@ struct CharucoInk {
   std::vector<int> marker_of_square;
   double module_mm, gap_mm;  // from a square's edge to its marker's
 
-  double operator()(const Eigen::Vector2d& p) const {
-    const double ink = checker(p);
+  Shade operator()(const Eigen::Vector2d& p) const {
+    const Shade ink = checker(p);
     // The first square lies before the first inner corner.
     const int squares = checker.columns + 1;
-    const int c = static_cast<int>(std::floor(p.x() / checker.pitch)) + 1;
-    const int r = static_cast<int>(std::floor(p.y() / checker.pitch)) + 1;
+    const int c = internal::FloorToInt(p.x() / checker.pitch) + 1;
+    const int r = internal::FloorToInt(p.y() / checker.pitch) + 1;
     if (c < 0 || r < 0 || c >= squares || r > checker.rows) return ink;
     const int marker = marker_of_square[static_cast<std::size_t>(r * squares + c)];
     if (marker < 0) return ink;
     const double x = p.x() - (c - 1) * checker.pitch - gap_mm;
     const double y = p.y() - (r - 1) * checker.pitch - gap_mm;
-    return std::max(ink, 1 - internal::MarkerWhite(bits, marker, module_mm, checker.ramp, x, y));
+    const Shade white = internal::MarkerWhite(bits, marker, module_mm, checker.ramp, x, y);
+    return {std::max(ink.share, 1 - white.share), std::min(ink.same_mm, white.same_mm)};
   }
 };
 
@@ -110,26 +128,33 @@ struct AprilGridInk {
     int tag;       // the nearest
     double place;  // from its edge
     double on_tag, in_gap;
+    double same_mm;
   };
   Along Look(double x, int count) const {
     const double step = side + gap;
-    const int tag = std::clamp(static_cast<int>(std::lround((x - side / 2) / step)), 0, count - 1);
+    const int tag = std::clamp(NearestInt((x - side / 2) / step), 0, count - 1);
     const double place = x - tag * step;
-    const double on_tag = ramp(std::min(place, side - place));
-    return {tag, place, on_tag, ramp(std::min(x + gap, count * step - x)) - on_tag};
+    const double from_edge = std::min(place, side - place);
+    const double from_end = std::min(x + gap, count * step - x);
+    const double on_tag = ramp(from_edge);
+    double same_mm = std::min(ramp.Clear(from_edge), ramp.Clear(from_end));
+    if (from_edge > 0) same_mm = std::min(same_mm, ramp.ClearOfRow(place, module_mm));
+    return {tag, place, on_tag, ramp(from_end) - on_tag, same_mm};
   }
   // Where all of the tag's border is behind.
   bool WithinBorder(double place) const {
     return place > 1.5 * module_mm && place < side - 1.5 * module_mm;
   }
 
-  double operator()(const Eigen::Vector2d& p) const {
+  Shade operator()(const Eigen::Vector2d& p) const {
     const Along x = Look(p.x(), columns), y = Look(p.y(), rows);
+    const double same_mm = std::min(x.same_mm, y.same_mm);
     if (WithinBorder(x.place) && WithinBorder(y.place)) {
       const int tag = (rows - 1 - y.tag) * columns + x.tag;  // numbered upwards
-      return 1 - internal::MarkerWhite(bits, tag, module_mm, ramp, x.place, y.place);
+      const Shade white = internal::MarkerWhite(bits, tag, module_mm, ramp, x.place, y.place);
+      return {1 - white.share, same_mm};
     }
-    return x.on_tag * y.on_tag + x.in_gap * y.in_gap;
+    return {x.on_tag * y.on_tag + x.in_gap * y.in_gap, same_mm};
   }
 };
 
@@ -152,19 +177,34 @@ class Sheet : public Albedo {
     if (material_mm.size() != albedo.size()) {
       throw std::invalid_argument("Albedo::Evaluate: spans of different sizes");
     }
+    // A row of samples is much finer than the pattern: most stand where the last ones did, on one
+    // patch of one shade.
+    Eigen::Vector2d patch(0, 0);
+    double patch_radius2 = -1;
+    float shade = 0;
     for (std::size_t i = 0; i < albedo.size(); ++i) {
-      albedo[i] = static_cast<float>(At(material_mm[i]));
+      // So put that NaN is on no patch.
+      if (!((material_mm[i] - patch).squaredNorm() < patch_radius2)) {
+        const Shade at = At(material_mm[i]);
+        shade = static_cast<float>(at.share);
+        patch = material_mm[i];
+        patch_radius2 = at.same_mm > 0 ? at.same_mm * at.same_mm : -1;
+      }
+      albedo[i] = shade;
     }
   }
 
  private:
-  double At(const Eigen::Vector2d& p) const {
+  Shade At(const Eigen::Vector2d& p) const {
     const double inside = std::min(
         {p.x() - box_.low.x(), box_.high.x() - p.x(), p.y() - box_.low.y(), box_.high.y() - p.y()});
+    const double same_mm = ramp_.Clear(inside);
     // So put that NaN is outside.
-    if (!(inside > -reach_) || !p.allFinite()) return background_;
-    const double sheet = paper_ + ink_less_paper_ * ink_(p);
-    return inside >= reach_ ? sheet : background_ + (sheet - background_) * ramp_(inside);
+    if (!(inside > -reach_) || !p.allFinite()) return {background_, same_mm};
+    const Shade ink = ink_(p);
+    const double sheet = paper_ + ink_less_paper_ * ink.share;
+    if (inside < reach_) return {background_ + (sheet - background_) * ramp_(inside), 0};
+    return {sheet, std::min(same_mm, ink.same_mm)};
   }
 
   Ink ink_;

@@ -107,16 +107,23 @@ Image<float> SampleRows(const MaterialMap& map, const Albedo& albedo, const Rend
   const int rows = (size.height + 2 * reach) * S;
   const auto count = static_cast<std::size_t>((size.width + 2 * reach) * S);
   Image<float> summed({size.width, rows});
+  const int places = size.width + 2 * reach;
   tbb::parallel_for(tbb::blocked_range<int>(0, rows), [&](const tbb::blocked_range<int>& range) {
     RowSampler sampler(map, albedo, options, count);
+    std::vector<float> of_phase(count);  // all first samples of a pixel, all second ones ...
     for (int j = range.begin(); j < range.end(); ++j) {
       const auto place = [&](int k) { return (k + 0.5) / S - 0.5 - reach; };
       const std::vector<float>& values = sampler.Row(place(j), place(0), 1.0 / S);
-      for (int x = 0; x < size.width; ++x) {
-        const float* at = values.data() + static_cast<std::size_t>(x * S);
-        float sum = 0;
-        for (std::size_t k = 0; k < kernel.weights.size(); ++k) sum += kernel.weights[k] * at[k];
-        summed(j, x) = sum;
+      for (int phase = 0; phase < S; ++phase) {
+        float* out = of_phase.data() + static_cast<std::size_t>(phase * places);
+        const float* in = values.data() + phase;
+        for (int x = 0; x < places; ++x) out[x] = in[static_cast<std::size_t>(x * S)];
+      }
+      float* out = summed.row(j);
+      for (int k = 0; k < static_cast<int>(kernel.weights.size()); ++k) {
+        const float weight = kernel.weights[static_cast<std::size_t>(k)];
+        const float* in = of_phase.data() + static_cast<std::size_t>(k % S * places + k / S);
+        for (int x = 0; x < size.width; ++x) out[x] += weight * in[x];
       }
     }
   });

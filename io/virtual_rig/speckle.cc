@@ -3,7 +3,9 @@
 #include <fmt/format.h>
 
 #include <algorithm>
+#include <array>
 #include <cmath>
+#include <limits>
 #include <numbers>
 #include <random>
 #include <vector>
@@ -44,23 +46,9 @@ class Speckle : public Albedo {
   }
 
   void Evaluate(std::span<const Eigen::Vector2d> material, std::span<float> albedo) const override {
-    const auto background = static_cast<float>(options_.background);
-    const auto black = static_cast<float>(options_.black);
-    const auto range = static_cast<float>(options_.white - options_.black);
-    for (std::size_t i = 0; i < material.size(); ++i) {
-      double u = material[i].x();
-      const double v = material[i].y();
-      if (periodic_) {
-        u -= domain_.period_u * std::floor((u - u_begin_) / domain_.period_u);
-      } else if (!(u >= domain_.u_min && u <= domain_.u_max)) {
-        albedo[i] = background;
-        continue;
-      }
-      if (!(v >= domain_.v_min && v <= domain_.v_max)) {
-        albedo[i] = background;
-        continue;
-      }
-      albedo[i] = black + range * Bare(u, v);
+    for (std::size_t i = 0; i < material.size(); i += kBatch) {
+      const std::size_t count = std::min(kBatch, material.size() - i);
+      EvaluateBatch(material.subspan(i, count), albedo.subspan(i, count));
     }
   }
 
@@ -129,20 +117,64 @@ class Speckle : public Albedo {
     }
   }
 
-  // The share of the ground that no disc covers.
-  float Bare(double u, double v) const {
-    const int i = std::min(columns_ - 1, static_cast<int>((u - u_begin_) * per_cell_u_));
-    const int j = std::min(rows_ - 1, static_cast<int>((v - v_begin_) * per_cell_v_));
-    const std::size_t cell = static_cast<std::size_t>(j) * static_cast<std::size_t>(columns_) +
-                             static_cast<std::size_t>(i);
-    float bare = 1;
-    for (std::uint32_t k = first_[cell]; k < first_[cell + 1]; ++k) {
-      const Disc& disc = sorted_[k];
-      const auto du = static_cast<float>(u - disc.u), dv = static_cast<float>(v - disc.v);
-      const float x = std::clamp((disc.outer2 - (du * du + dv * dv)) * disc.per_range, 0.0f, 1.0f);
-      bare *= 1 - x * x * (3 - 2 * x);
+  static constexpr std::size_t kBatch = 64;
+  static constexpr std::size_t kNowhere = std::numeric_limits<std::size_t>::max();
+
+  // The cell of a place, which is moved to the first period; kNowhere where there is no speckle.
+  std::size_t CellOf(Eigen::Vector2d& place) const {
+    if (periodic_) {
+      const double from = place.x() - u_begin_;
+      if (!(from >= 0 && from < domain_.period_u)) {
+        place.x() -= domain_.period_u * std::floor(from / domain_.period_u);
+      }
+    } else if (!(place.x() >= domain_.u_min && place.x() <= domain_.u_max)) {
+      return kNowhere;
     }
-    return bare;
+    if (!(place.y() >= domain_.v_min && place.y() <= domain_.v_max)) return kNowhere;
+    const int i = std::min(columns_ - 1, static_cast<int>((place.x() - u_begin_) * per_cell_u_));
+    const int j = std::min(rows_ - 1, static_cast<int>((place.y() - v_begin_) * per_cell_v_));
+    return static_cast<std::size_t>(j) * static_cast<std::size_t>(columns_) +
+           static_cast<std::size_t>(i);
+  }
+
+  // Neighbours lie in one cell more often than not: each of its discs is held against all of them.
+  void EvaluateBatch(std::span<const Eigen::Vector2d> material, std::span<float> albedo) const {
+    std::array<double, kBatch> u, v;
+    std::array<std::size_t, kBatch> cell;
+    std::array<float, kBatch> bare;  // the share of the ground that no disc covers
+    for (std::size_t k = 0; k < material.size(); ++k) {
+      Eigen::Vector2d place = material[k];
+      cell[k] = CellOf(place);
+      u[k] = place.x();
+      v[k] = place.y();
+      bare[k] = 1;
+    }
+    const auto background = static_cast<float>(options_.background);
+    const auto black = static_cast<float>(options_.black);
+    const auto range = static_cast<float>(options_.white - options_.black);
+    for (std::size_t k = 0; k < material.size();) {
+      std::size_t end = k + 1;
+      while (end < material.size() && cell[end] == cell[k]) ++end;
+      if (cell[k] == kNowhere) {
+        std::fill(albedo.begin() + k, albedo.begin() + end, background);
+      } else {
+        for (std::uint32_t d = first_[cell[k]]; d < first_[cell[k] + 1]; ++d) {
+          Cover(sorted_[d], u.data() + k, v.data() + k, end - k, bare.data() + k);
+        }
+        for (std::size_t n = k; n < end; ++n) albedo[n] = black + range * bare[n];
+      }
+      k = end;
+    }
+  }
+
+  static void Cover(const Disc& disc, const double* u, const double* v, std::size_t count,
+                    float* bare) {
+    for (std::size_t n = 0; n < count; ++n) {
+      const auto du = static_cast<float>(u[n] - disc.u), dv = static_cast<float>(v[n] - disc.v);
+      const float depth = (disc.outer2 - (du * du + dv * dv)) * disc.per_range;
+      const float x = depth < 0 ? 0 : depth > 1 ? 1 : depth;
+      bare[n] *= 1 - x * x * (3 - 2 * x);
+    }
   }
 
   MaterialDomain domain_;

@@ -67,17 +67,18 @@ constexpr int kWider = 1;
 
 }  // namespace
 
-double MarkerWhite(const MarkerBits& bits, int marker, double module_mm, const EdgeRamp& ramp,
-                   double x_mm, double y_mm) {
+Shade MarkerWhite(const MarkerBits& bits, int marker, double module_mm, const EdgeRamp& ramp,
+                  double x_mm, double y_mm) {
   // The borders between modules that are nearest; the four modules around their crossing.
-  const int column = static_cast<int>(std::lround(x_mm / module_mm));
-  const int row = static_cast<int>(std::lround(y_mm / module_mm));
-  const double right = ramp(x_mm - column * module_mm), below = ramp(y_mm - row * module_mm);
+  const int column = NearestInt(x_mm / module_mm), row = NearestInt(y_mm / module_mm);
+  const double from_column = x_mm - column * module_mm, from_row = y_mm - row * module_mm;
+  const double right = ramp(from_column), below = ramp(from_row);
   const double upper =
       (1 - right) * bits.At(marker, column - 1, row - 1) + right * bits.At(marker, column, row - 1);
   const double lower =
       (1 - right) * bits.At(marker, column - 1, row) + right * bits.At(marker, column, row);
-  return (1 - below) * upper + below * lower;
+  return {(1 - below) * upper + below * lower,
+          std::min(ramp.Clear(from_column), ramp.Clear(from_row))};
 }
 
 MarkerBits ArucoBits(const BoardSpec& spec) {

@@ -9,6 +9,7 @@
 #include <map>
 #include <opencv2/aruco/charuco.hpp>
 #include <opencv2/imgproc.hpp>
+#include <random>
 #include <utility>
 #include <vector>
 
@@ -195,6 +196,39 @@ TEST(BoardAlbedo, AprilGridIsTheBoardOfARealPhotograph) {
   }
   EXPECT_GE(modules, 3000);
   EXPECT_GT(alike, 0.98 * modules);
+}
+
+// Places of a row are given the shade of the patch that they stand on together: no place may tell.
+TEST(BoardAlbedo, OfARowIsThatOfEachOfItsPlacesAlone) {
+  std::mt19937 random(4);
+  std::uniform_real_distribution<double> share(0, 1);
+  for (const char* word :
+       {"chessboard:9x6:10mm", "acircles:4x11:8mm", "circles:9x7:10mm", "donut-dots:14x10:7mm",
+        "charuco:5x7:20mm:14mm:DICT_6X6_250", "aprilgrid:3x2:20mm:0.3:tag36h11"}) {
+    const BoardSpec spec = BoardSpec::Parse(word);
+    BoardPrint print;
+    print.big_corner_disc = spec.kind == BoardSpec::Kind::kCircles;
+    if (print.big_corner_disc) print.disc_share = 0.24;
+    const auto albedo = MakeBoardAlbedo(spec, print);
+    const BoardRectangle sheet = BoardOutline(spec, print);
+    const auto anywhere = [&]() -> Eigen::Vector2d {
+      return sheet[0] + (sheet[2] - sheet[0])
+                            .cwiseProduct(Eigen::Vector2d(share(random), share(random)) * 1.1 -
+                                          Eigen::Vector2d::Constant(0.05));
+    };
+    int unlike = 0;
+    for (int line = 0; line < 60; ++line) {
+      const Eigen::Vector2d from = anywhere(), to = anywhere();
+      const int count = 200 << line % 4;  // from nearly a pixel apart to a fraction of it
+      std::vector<Eigen::Vector2d> row;
+      for (int k = 0; k < count; ++k) row.push_back(from + (to - from) * k / count);
+      row[static_cast<std::size_t>(count / 2)].x() = std::numeric_limits<double>::quiet_NaN();
+      std::vector<float> values(row.size());
+      albedo->Evaluate(row, values);
+      for (std::size_t k = 0; k < row.size(); ++k) unlike += values[k] != At(*albedo, row[k]);
+    }
+    EXPECT_EQ(unlike, 0) << word;
+  }
 }
 
 TEST(BoardAlbedo, EdgesAreSmoothAndOfTheWidthAsked) {

@@ -36,6 +36,25 @@ TEST(Speckle, ClosesOverTheSeamOfAPeriod) {
   EXPECT_GT(contrast, 0.4);
 }
 
+// However places are put together, each is what it is alone: those beyond the edge too.
+TEST(Speckle, OfARowIsThatOfEachOfItsPlacesAlone) {
+  MaterialDomain ring = kSheet;
+  ring.period_u = 40;
+  for (const MaterialDomain& domain : {kSheet, ring}) {
+    const auto speckle = MakeSpeckle(domain, {});
+    std::vector<Eigen::Vector2d> row;
+    for (int k = 0; k < 5000; ++k) row.emplace_back(-21 + 0.0084 * k, -15.5 + 0.0062 * k);
+    for (int k = 0; k < 300; ++k) row.emplace_back(-21 + 0.14 * k, 3);
+    std::vector<float> values(row.size());
+    speckle->Evaluate(row, values);
+    int unlike = 0;
+    for (std::size_t k = 0; k < row.size(); ++k) {
+      unlike += values[k] != At(*speckle, row[k].x(), row[k].y());
+    }
+    EXPECT_EQ(unlike, 0);
+  }
+}
+
 TEST(Speckle, IsSmooth) {
   const auto speckle = MakeSpeckle(kSheet, {});
   for (double u = -19; u < 19; u += 0.53) {
