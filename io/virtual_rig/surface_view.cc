@@ -3,6 +3,7 @@
 #include <Eigen/Dense>
 #include <algorithm>
 #include <cmath>
+#include <limits>
 
 namespace plumbline {
 namespace {
@@ -15,7 +16,26 @@ constexpr double kFarthestStep_mm = 15;
 // occluding edge.
 constexpr float kEdgeShare = 0.05f;
 
+const Eigen::Vector2d kNowhere =
+    Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
+
 int BufferLength(int pixels) { return (pixels + 2 * kMargin_px) / kBufferPitch_px + 1; }
+
+// Far outside of the image distortion may fold back into it: points (in the camera's frame) that
+// are not on the ray of their place, of those named, are nowhere.
+void DropFolded(const Camera& camera, const std::vector<Eigen::Vector3d>& points,
+                const std::vector<std::size_t>& named, std::vector<Eigen::Vector2d>* at) {
+  std::vector<Eigen::Vector2d> pixels;
+  for (const std::size_t k : named) {
+    pixels.push_back((*at)[k].array() * kBufferPitch_px - kMargin_px);
+  }
+  std::vector<Eigen::Vector3d> rays(pixels.size());
+  camera.Unproject(pixels, rays);
+  for (std::size_t n = 0; n < named.size(); ++n) {
+    const Eigen::Vector3d& point = points[named[n]];
+    if (!(rays[n].cross(point).norm() < 1e-3 * point.norm())) (*at)[named[n]] = kNowhere;
+  }
+}
 
 }  // namespace
 
@@ -58,24 +78,29 @@ void SurfaceView::Rasterise() {
                               static_cast<float>(p.norm())};
     }
   }
-  std::vector<Eigen::Vector2d> pixels(points.size());
-  camera_.Project(points, pixels);
-  // Far outside of the image distortion may fold back into it.
+  std::vector<Eigen::Vector2d> at(points.size());
+  camera_.Project(points, at);
   const Eigen::Vector2d reach(camera_.size().width, camera_.size().height);
-  for (std::size_t k = 0; k < points.size(); ++k) {
-    const Eigen::Vector3d ray = camera_.Unproject(pixels[k]);
-    if (!(ray.cross(points[k]).norm() < 1e-3 * points[k].norm()) ||
-        (pixels[k] - reach / 2).cwiseAbs().maxCoeff() > 2 * reach.maxCoeff()) {
-      pixels[k].setConstant(std::numeric_limits<double>::quiet_NaN());
-    }
+  for (Eigen::Vector2d& pixel : at) {
+    const bool far = (pixel - reach / 2).cwiseAbs().maxCoeff() > 2 * reach.maxCoeff();
+    pixel = far ? kNowhere : (pixel.array() + kMargin_px) / kBufferPitch_px;
   }
+  std::vector<Triangle> triangles;
+  std::vector<std::size_t> corners;
   for (std::size_t j = 0; j + 1 < nv; ++j) {
     for (std::size_t i = 0; i + 1 < nu; ++i) {
       const std::size_t a = j * nu + i, b = a + 1, c = a + nu, d = c + 1;
-      Fill(pixels, vertices, {a, b, c});
-      Fill(pixels, vertices, {b, d, c});
+      for (const Triangle& triangle : {Bound(at, {a, b, c}), Bound(at, {b, d, c})}) {
+        if (!triangle.Reaches()) continue;
+        triangles.push_back(triangle);
+        corners.insert(corners.end(), triangle.corner.begin(), triangle.corner.end());
+      }
     }
   }
+  std::sort(corners.begin(), corners.end());
+  corners.erase(std::unique(corners.begin(), corners.end()), corners.end());
+  DropFolded(camera_, points, corners, &at);
+  for (const Triangle& triangle : triangles) Fill(at, vertices, triangle);
   MarkEdges();
 }
 
@@ -93,27 +118,30 @@ void SurfaceView::MarkEdges() {
   }
 }
 
+// `at`: places in the buffer.
+SurfaceView::Triangle SurfaceView::Bound(const std::vector<Eigen::Vector2d>& at,
+                                         const std::array<std::size_t, 3>& corner) const {
+  const Eigen::Vector2d &a = at[corner[0]], &b = at[corner[1]], &c = at[corner[2]];
+  if (!a.allFinite() || !b.allFinite() || !c.allFinite()) return {corner, 0, -1, 0, -1};
+  const Eigen::Array2d low = a.cwiseMin(b).cwiseMin(c).array().ceil();
+  const Eigen::Array2d high = a.cwiseMax(b).cwiseMax(c).array().floor();
+  return {corner, std::max(0, static_cast<int>(low.x())),
+          std::min(buffer_.width() - 1, static_cast<int>(high.x())),
+          std::max(0, static_cast<int>(low.y())),
+          std::min(buffer_.height() - 1, static_cast<int>(high.y()))};
+}
+
 // Writes a triangle of the mesh into the depth buffer.
-void SurfaceView::Fill(const std::vector<Eigen::Vector2d>& pixels,
-                       const std::vector<Guess>& vertices, const std::size_t (&corner)[3]) {
-  Eigen::Vector2d q[3];
-  for (int k = 0; k < 3; ++k) {
-    q[k] = (pixels[corner[k]].array() + kMargin_px) / kBufferPitch_px;
-    if (!q[k].allFinite()) return;
-  }
+void SurfaceView::Fill(const std::vector<Eigen::Vector2d>& at, const std::vector<Guess>& vertices,
+                       const Triangle& triangle) {
+  const auto& [corner, x0, x1, y0, y1] = triangle;
+  const Eigen::Vector2d q[3] = {at[corner[0]], at[corner[1]], at[corner[2]]};
+  if (!q[0].allFinite() || !q[1].allFinite() || !q[2].allFinite()) return;
   const auto cross = [](const Eigen::Vector2d& a, const Eigen::Vector2d& b) {
     return a.x() * b.y() - a.y() * b.x();
   };
   const double area = cross(q[1] - q[0], q[2] - q[0]);
   if (std::abs(area) < 1e-12) return;
-  const auto range = [&](int axis, int limit) {
-    const double low = std::min({q[0][axis], q[1][axis], q[2][axis]});
-    const double high = std::max({q[0][axis], q[1][axis], q[2][axis]});
-    return std::pair<int, int>(std::max(0, static_cast<int>(std::ceil(low))),
-                               std::min(limit - 1, static_cast<int>(std::floor(high))));
-  };
-  const auto [x0, x1] = range(0, buffer_.width());
-  const auto [y0, y1] = range(1, buffer_.height());
   for (int y = y0; y <= y1; ++y) {
     for (int x = x0; x <= x1; ++x) {
       const Eigen::Vector2d p(x, y);

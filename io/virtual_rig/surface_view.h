@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <array>
 #include <cstdint>
 #include <memory>
 #include <optional>
@@ -62,8 +63,16 @@ class SurfaceView {
               ImageSize buffer);
   void Rasterise();
   void MarkEdges();
-  void Fill(const std::vector<Eigen::Vector2d>& pixels, const std::vector<Guess>& vertices,
-            const std::size_t (&corner)[3]);
+  // Of the mesh, and the places of the buffer about it.
+  struct Triangle {
+    std::array<std::size_t, 3> corner;
+    int x0, x1, y0, y1;
+    bool Reaches() const { return x0 <= x1 && y0 <= y1; }
+  };
+  Triangle Bound(const std::vector<Eigen::Vector2d>& at,
+                 const std::array<std::size_t, 3>& corner) const;
+  void Fill(const std::vector<Eigen::Vector2d>& at, const std::vector<Guess>& vertices,
+            const Triangle& triangle);
   std::vector<Guess> GuessesAround(const Eigen::Vector2d& at, int ring) const;
   std::optional<SeenPoint> NearestHit(const Eigen::Vector3d& ray_in_camera,
                                       std::vector<Guess> guesses) const;
