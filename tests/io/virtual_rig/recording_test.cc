@@ -25,11 +25,15 @@ using ::testing::IsEmpty;
 
 const RecordingProgress kGoOn = [](const std::string&, int, int) { return true; };
 
+// By cameras of a quarter of the pixels.
 Scenario ShortCleat() {
-  Scenario scenario = MakeScenario("tyre-disturbed");
+  RigDesign design = DesignOf(RigKind::kWide640);
+  design.image_size = {320, 240};
+  design.pixel_um *= 2;
+  Scenario scenario = MakeScenario("tyre-disturbed", MakeRig(design), design.distance_mm);
   scenario.frames = 4;
   scenario.dropped = {1};
-  scenario.step_px = 16;
+  scenario.step_px = 8;
   return scenario;
 }
 
@@ -187,8 +191,8 @@ TEST(Recording, TheSameRecipeMakesTheSameFilesForAnyNumberOfThreads) {
   options.calibration = CalibrationPhotographs{};
   options.calibration->board = BoardSpec::Parse("chessboard:9x6:10mm");
   options.calibration->poses.count = 2;
-  options.calibration->poses.min_distance_mm = 120;
-  options.calibration->poses.max_distance_mm = 200;
+  options.calibration->poses.min_distance_mm = 80;
+  options.calibration->poses.max_distance_mm = 130;
   WriteRecording(VirtualRig(ShortCleat()), folder / "a", options, kGoOn);
   const oneapi::tbb::global_control one(oneapi::tbb::global_control::max_allowed_parallelism, 1);
   WriteRecording(VirtualRig(ShortCleat()), folder / "b", options, kGoOn);

@@ -120,21 +120,21 @@ Scenario Quiet(const std::string& name) {
 }
 
 TEST(VirtualRig, EccBetweenFramesAgreesWithTheTruth) {
-  ExpectEccAgrees(Quiet("stretch"), Side::kLeft, 29, 700);
+  ExpectEccAgrees(Quiet("stretch"), Side::kLeft, 41, 350);
   Scenario turning = Quiet("rigid");
   turning.frames_per_second *= 12;  // smaller steps
-  ExpectEccAgrees(turning, Side::kLeft, 17, 700);
+  ExpectEccAgrees(turning, Side::kLeft, 24, 350);
   Scenario rolling = Quiet("tyre-flat");
   rolling.frames_per_second = 400;
-  ExpectEccAgrees(rolling, Side::kLeft, 16, 500);
+  ExpectEccAgrees(rolling, Side::kLeft, 23, 250);
 }
 
 TEST(VirtualRig, EccBetweenTheCamerasAgreesWithTheTruth) {
-  ExpectEccAgrees(Quiet("tyre-lifted"), Side::kRight, 14, 400);
+  ExpectEccAgrees(Quiet("tyre-lifted"), Side::kRight, 20, 200);
 }
 
 TEST(VirtualRig, BrightnessFlickersBetweenFrames) {
-  Scenario scenario = Quiet("still");
+  Scenario scenario = MakeScenario("still", RigKind::kWide640);
   scenario.lighting.flicker = 0.05;
   scenario.frames = 8;
   const VirtualRig rig(scenario);
