@@ -108,7 +108,9 @@ Consistency Sample(SyntheticBoardsOptions made, int draws) {
 }
 
 TEST(Calibrate, SigmasHoldUnderIndependentNoise) {
-  const Consistency mean = Sample({}, 20);
+  SyntheticBoardsOptions made;
+  made.pair_count = 14;
+  const Consistency mean = Sample(made, 20);
   EXPECT_NEAR(mean.clustered_baseline, 1, 4 * std::sqrt(2.0 / 20));
   EXPECT_NEAR(mean.independent_baseline, 1, 4 * std::sqrt(2.0 / 20));
   EXPECT_NEAR(mean.clustered_length, 1, 4 * std::sqrt(2.0 / 20));
@@ -116,6 +118,7 @@ TEST(Calibrate, SigmasHoldUnderIndependentNoise) {
 
 TEST(Calibrate, SigmasHoldWhenTheBoardFlexesInTheHandWhereIndependentOnesDoNot) {
   SyntheticBoardsOptions made;
+  made.pair_count = 14;
   made.flex_mm = 0.05;
   const Consistency mean = Sample(made, 20);
   EXPECT_NEAR(mean.clustered_baseline, 1, 4 * std::sqrt(2.0 / 20));
