@@ -219,7 +219,7 @@ TEST(StereoDic, KilledAndGoneOnWithIsTheSameAsUndisturbed) {
   EXPECT_FALSE(fs::exists(killed.string() + ".parts"));
 }
 
-TEST(StereoDic, ProveTwoHundredKills) {
+TEST(ProveStereoDic, TwoHundredKills) {
   if (std::getenv("PLUMBLINE_PROVE") == nullptr) GTEST_SKIP() << "set PLUMBLINE_PROVE to run this";
   const fs::path undisturbed = TestFolder() / "undisturbed.h5", killed = TestFolder() / "killed.h5";
   ASSERT_EQ(RunPlumbline(Measure(undisturbed)).exit_code, 0);
