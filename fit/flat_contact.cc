@@ -33,16 +33,7 @@ void FlatContactOptions::Check() const {
   if (!(edge_mm >= 0) || !(least_extent_mm > 0) || !(max_bow_mm > 0)) {
     throw UsageError("Edge, extent and bow of the flat part of a patch must be positive.");
   }
-  if (least_points < 3) throw UsageError("A plane needs at least 3 points.");
-  if (!(max_roll_rad > 0 && max_roll_rad < 1.5)) {
-    throw UsageError("The wheel's axis may lean by more than 0 and less than 1.5 rad.");
-  }
-  if (!(max_below_share > 0 && max_below_share < 1)) {
-    throw UsageError("The share of points that may lie below the ground lies between 0 and 1.");
-  }
-  if (!(correlation_area_points >= 1)) {
-    throw UsageError("At least one point shares a point's noise: its own.");
-  }
+  internal::CheckFlatSearch(least_points, max_roll_rad, max_below_share, correlation_area_points);
 }
 
 Image<Eigen::Vector3d> OuterPoints(const Image<Eigen::Vector3d>& point_mm,

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <limits>
 
+#include "calib/error.h"
 #include "calib/median.h"
 #include "calib/parallel.h"
 
@@ -23,6 +24,20 @@ constexpr double kLeastLift_mm = 0.03;
 constexpr double kSigmas = 3.5;
 
 }  // namespace
+
+void CheckFlatSearch(int least_points, double max_roll_rad, double max_below_share,
+                     double correlation_area_points) {
+  if (least_points < 3) throw UsageError("A plane needs at least 3 points.");
+  if (!(max_roll_rad > 0 && max_roll_rad < 1.5)) {
+    throw UsageError("The wheel's axis may lean by more than 0 and less than 1.5 rad.");
+  }
+  if (!(max_below_share > 0 && max_below_share < 1)) {
+    throw UsageError("The share of points that may lie below the ground lies between 0 and 1.");
+  }
+  if (!(correlation_area_points >= 1)) {
+    throw UsageError("At least one point shares a point's noise: its own.");
+  }
+}
 
 FlatSearch::FlatSearch(const Image<Eigen::Vector3d>& point, const Image<Eigen::Matrix3d>& cov,
                        const Image<double>& thickness, const WheelAxis& axis)

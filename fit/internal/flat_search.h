@@ -13,6 +13,11 @@
 
 namespace plumbline::internal {
 
+// What the options of all that is looked for with it have in common. Throws UsageError naming the
+// broken constraint.
+void CheckFlatSearch(int least_points, double max_roll_rad, double max_below_share,
+                     double correlation_area_points);
+
 struct FlatPlane {
   Eigen::Vector3d normal;
   double offset_mm;
