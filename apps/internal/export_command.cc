@@ -123,9 +123,7 @@ class ExportCommand : public Command {
       throw UsageError(
           fmt::format("--frame {}: '{}' has {} frames, counted from 0.", *frame_, file_, count));
     }
-    const std::string ending = section_.empty() ? format_ : "section.csv";
-    const fs::path base =
-        output_.empty() ? fs::path(file_).replace_extension("." + ending) : fs::path(output_);
+    const fs::path base = OutputFile(section_.empty() ? format_ : "section.csv");
     CommandReport report;
     report.json["files"] = nlohmann::json::array();
     std::int64_t skipped = 0;
@@ -215,8 +213,15 @@ class ExportCommand : public Command {
     if (frame_) {
       throw UsageError(fmt::format("--frame and --format {} exclude each other.", format_));
     }
-    return output_.empty() ? fs::path(file_).replace_extension("." + format_ + ".csv")
-                           : fs::path(output_);
+    return OutputFile(format_ + ".csv");
+  }
+
+  // The one that is named, with the format's ending where the name has none; or beside the run.
+  fs::path OutputFile(const std::string& ending) const {
+    if (output_.empty()) return fs::path(file_).replace_extension("." + ending);
+    fs::path file(output_);
+    if (!file.has_extension()) file += fs::path("run." + ending).extension();
+    return file;
   }
 
   BumpOptions bump_;

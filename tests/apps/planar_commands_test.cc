@@ -69,6 +69,9 @@ TEST(PlanarCommands, ExportWritesEveryFrameAsCsv) {
   EXPECT_THAT(heading, HasSubstr("x_px,y_px,u_px,v_px,sigma_u_px,sigma_v_px,zncc,strain_xx"));
   EXPECT_THAT(heading, ::testing::EndsWith(",status"));
   EXPECT_FALSE(fs::exists(TestFolder() / "field_0001.csv"));
+  const std::string named = (TestFolder() / "named").string();
+  EXPECT_EQ(RunPlumbline("export " + file.string() + " --format csv -o " + named).exit_code, 0);
+  EXPECT_TRUE(fs::exists(named + "_0002.csv"));  // the ending of the format
   const CommandResult refused = RunPlumbline("export " + file.string() + " --format ply");
   EXPECT_EQ(refused.exit_code, 2);
   EXPECT_THAT(refused.output, HasSubstr("--format csv"));
