@@ -61,22 +61,13 @@ CarcassThickness CarcassThickness::AlongMode(int mode) const {
 }
 
 double CarcassThickness::LeftOutAt(double y) const {
-  if (std::isnan(At(y))) return std::numeric_limits<double>::quiet_NaN();
-  if (y_mm.size() < 3) return 0;
+  constexpr double kShare = 0.25;
+  const double here = At(y);
+  if (y_mm.empty() || std::isnan(here)) return here * 0;
   const auto above = std::lower_bound(y_mm.begin(), y_mm.end(), y);
   const std::size_t k = std::max<std::size_t>(1, static_cast<std::size_t>(above - y_mm.begin()));
-  // The second derivative at an entry, by the parabola through it and its neighbours.
-  const auto curvature = [&](std::size_t at) {
-    at = std::clamp<std::size_t>(at, 1, y_mm.size() - 2);
-    const double before = y_mm[at] - y_mm[at - 1], after = y_mm[at + 1] - y_mm[at];
-    return 2 *
-           ((thickness_mm[at + 1] - thickness_mm[at]) / after -
-            (thickness_mm[at] - thickness_mm[at - 1]) / before) /
-           (before + after);
-  };
-  const double width = y_mm[k] - y_mm[k - 1], share = (y - y_mm[k - 1]) / width;
-  const double line = (1 - share) * thickness_mm[k - 1] + share * thickness_mm[k];
-  return line - (curvature(k - 1) + curvature(k)) / 4 * share * (1 - share) * width * width - At(y);
+  const double share = (y - y_mm[k - 1]) / (y_mm[k] - y_mm[k - 1]);
+  return kShare * (here - (1 - share) * thickness_mm[k - 1] - share * thickness_mm[k]);
 }
 
 void CarcassThickness::Check() const {

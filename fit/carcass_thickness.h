@@ -19,8 +19,8 @@ struct CarcassThickness {
 
   // NaN beyond the ends of a map: nothing is known there.
   double At(double y_mm) const;
-  // What the curve may leave out there: another one through the same entries less it, that whose
-  // curvature is the mean of those of both entries beside it. 0 for one value, NaN where At() is.
+  // What the curve may leave out there, one sigma: a quarter of what straight lines between the
+  // entries would. 0 for one value, NaN where At() is.
   double LeftOutAt(double y_mm) const;
 
   // What one sigma does, an entry at a time: a mode of the carcass is common to all frames, as one

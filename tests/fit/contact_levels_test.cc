@@ -179,19 +179,5 @@ TEST(ContactLevels, PartsFollowTheirPoints) {
   }
 }
 
-TEST(CarcassThickness, TellsWhatItsCurveMayLeaveOut) {
-  CarcassThickness parabola;
-  for (double y = -20; y <= 20; y += 5) {
-    parabola.y_mm.push_back(y);
-    parabola.thickness_mm.push_back(20 + y * y / 100);
-  }
-  for (const double y : {-19.0, -2.5, 0.0, 7.0, 17.5}) {
-    EXPECT_NEAR(parabola.At(y) + parabola.LeftOutAt(y), 20 + y * y / 100, 1e-12) << y;
-  }
-  EXPECT_TRUE(std::isnan(parabola.LeftOutAt(21)));
-  EXPECT_EQ((CarcassThickness{{}, {20}}).LeftOutAt(5), 0);
-  EXPECT_EQ((CarcassThickness{{-5, 5}, {20, 21}}).LeftOutAt(0), 0);
-}
-
 }  // namespace
 }  // namespace plumbline

@@ -64,6 +64,29 @@ TEST(CarcassThickness, IsAConstantOrASmoothCurveBetweenPlaces) {
   EXPECT_THROW((CarcassThickness{{}, {-1}}).Check(), UsageError);
 }
 
+TEST(CarcassThickness, TellsWhatItsCurveMayLeaveOut) {
+  CarcassThickness map;
+  const auto thickness = [](double y) { return 21 + std::tanh(y / 8); };
+  for (double y = -80; y <= 80; y += 5) {
+    map.y_mm.push_back(y);
+    map.thickness_mm.push_back(thickness(y));
+  }
+  double error = 0, claimed = 0;
+  for (double y = -80; y <= 80; y += 0.1) {
+    error += std::pow(map.At(y) - thickness(y), 2);
+    claimed += std::pow(map.LeftOutAt(y), 2);
+  }
+  EXPECT_GT(claimed, 0.25 * error);
+  EXPECT_LT(claimed, 4 * error);
+  EXPECT_TRUE(std::isnan(map.LeftOutAt(81)));
+  EXPECT_EQ((CarcassThickness{{}, {20}}).LeftOutAt(5), 0);
+  EXPECT_NEAR((CarcassThickness{{-5, 5}, {20, 21}}).LeftOutAt(2), 0, 1e-12);
+  // However far apart its entries are.
+  const CarcassThickness coarse{{-79, -69, -59, 0, 59, 69, 79},
+                                {22, 21.4, 20.2, 20, 20.2, 21.4, 22}};
+  for (double y = -79; y <= 79; ++y) EXPECT_LT(std::abs(coarse.LeftOutAt(y)), 0.05) << y;
+}
+
 TEST(CarcassThickness, GoesByThePlaceOnTheUndeformedWheel) {
   const VirtualRig rig(TyreScenario("tyre-cornering", {0.8, -1.5, 0.4}));
   const TyreFrame frame = TrueTyreFrame(rig, 0, 16);
