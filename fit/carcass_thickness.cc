@@ -29,6 +29,12 @@ double SlopeAt(const CarcassThickness& map, std::size_t k) {
   return 3 * (h + g) / ((2 * g + h) / before + (g + 2 * h) / after);
 }
 
+// Of the entry at or above a place within the map, not the first one.
+std::size_t EntryAbove(const CarcassThickness& map, double y) {
+  const auto above = std::lower_bound(map.y_mm.begin() + 1, map.y_mm.end(), y);
+  return static_cast<std::size_t>(above - map.y_mm.begin());
+}
+
 template <typename Function>
 Image<double> Over(const Image<Eigen::Vector3d>& undeformed_in_rig_mm, const WheelAxis& axis,
                    const Function& at) {
@@ -45,9 +51,7 @@ Image<double> Over(const Image<Eigen::Vector3d>& undeformed_in_rig_mm, const Whe
 double CarcassThickness::At(double y) const {
   if (y_mm.empty()) return thickness_mm.front();
   if (!(y >= y_mm.front() && y <= y_mm.back())) return std::numeric_limits<double>::quiet_NaN();
-  const auto above = std::lower_bound(y_mm.begin(), y_mm.end(), y);
-  const auto k = static_cast<std::size_t>(above - y_mm.begin());
-  if (k == 0) return thickness_mm.front();
+  const std::size_t k = EntryAbove(*this, y);
   const double width = y_mm[k] - y_mm[k - 1];
   const double u = (y - y_mm[k - 1]) / width, v = 1 - u;
   return v * v * (1 + 2 * u) * thickness_mm[k - 1] + u * u * (1 + 2 * v) * thickness_mm[k] +
@@ -62,10 +66,10 @@ CarcassThickness CarcassThickness::AlongMode(int mode) const {
 
 double CarcassThickness::LeftOutAt(double y) const {
   constexpr double kShare = 0.25;
+  if (y_mm.empty()) return 0;
   const double here = At(y);
-  if (y_mm.empty() || std::isnan(here)) return here * 0;
-  const auto above = std::lower_bound(y_mm.begin(), y_mm.end(), y);
-  const std::size_t k = std::max<std::size_t>(1, static_cast<std::size_t>(above - y_mm.begin()));
+  if (std::isnan(here)) return here;
+  const std::size_t k = EntryAbove(*this, y);
   const double share = (y - y_mm[k - 1]) / (y_mm[k] - y_mm[k - 1]);
   return kShare * (here - (1 - share) * thickness_mm[k - 1] - share * thickness_mm[k]);
 }
@@ -94,6 +98,13 @@ Image<double> ThicknessOver(const CarcassThickness& carcass,
                             const WheelAxis& axis) {
   carcass.Check();
   return Over(undeformed_in_rig_mm, axis, [&](double y_mm) { return carcass.At(y_mm); });
+}
+
+const Image<double>& ThicknessAlong(std::size_t mode, std::size_t modes,
+                                    const Image<double>& thickness_mm,
+                                    std::span<const Image<double>> along_carcass) {
+  const std::size_t others = modes - along_carcass.size();
+  return mode < others ? thickness_mm : along_carcass[mode - others];
 }
 
 Image<double> ThicknessLeftOutOver(const CarcassThickness& carcass,

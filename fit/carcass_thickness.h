@@ -1,6 +1,8 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
+#include <span>
 #include <vector>
 
 #include "calib/image.h"
@@ -37,6 +39,12 @@ struct CarcassThickness {
 [[nodiscard]] Image<double> ThicknessOver(const CarcassThickness& carcass,
                                           const Image<Eigen::Vector3d>& undeformed_in_rig_mm,
                                           const WheelAxis& axis);
+
+// Of a quantity along `modes` modes, of which the carcass's are the last ones: the thickness along
+// one of them. along_carcass: ThicknessOver() of each AlongMode().
+[[nodiscard]] const Image<double>& ThicknessAlong(std::size_t mode, std::size_t modes,
+                                                  const Image<double>& thickness_mm,
+                                                  std::span<const Image<double>> along_carcass);
 
 // CarcassThickness::LeftOutAt() over each point, likewise.
 [[nodiscard]] Image<double> ThicknessLeftOutOver(const CarcassThickness& carcass,

@@ -11,6 +11,7 @@
 #include <string>
 #include <utility>
 
+#include "fit/carcass_thickness.h"
 #include "track/surface_plane.h"
 
 namespace plumbline {
@@ -105,10 +106,9 @@ void AddAlong(const TyrePoints& points, const WheelAxis& axis,
       parts.Less(*observed, axis, points.point_mm, Sum(points.thickness_mm, points.left_out_mm)), 0,
       observed);
   const std::size_t modes = points.along_modes_mm.size();
-  const std::size_t of_cameras = modes - points.thickness_along_modes.size();
   for (std::size_t k = 0; k < modes; ++k) {
     const Image<double>& thickness =
-        k < of_cameras ? points.thickness_mm : points.thickness_along_modes[k - of_cameras];
+        ThicknessAlong(k, modes, points.thickness_mm, points.thickness_along_modes);
     const Heights off = parts.Less(*observed, axis_along_modes[k],
                                    Moved(points.point_mm, points.along_modes_mm[k]), thickness);
     observed->along_modes.emplace_back(off.head<3>());

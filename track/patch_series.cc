@@ -6,6 +6,7 @@
 #include <stdexcept>
 
 #include "calib/error.h"
+#include "fit/carcass_thickness.h"
 
 namespace plumbline {
 namespace {
@@ -80,8 +81,8 @@ class PatchOfFrame {
     const std::size_t modes = frame_.along_modes_mm.size();
     for (std::size_t m = 0; m < modes; ++m) {
       InGround along(frame_, frame_.rotation.ground.along_modes[m], &frame_.along_modes_mm[m]);
-      const std::vector<Image<double>>& carcass = frame_.thickness_along_modes;
-      if (modes - m <= carcass.size()) along.thickness_mm = &carcass[m + carcass.size() - modes];
+      along.thickness_mm =
+          &ThicknessAlong(m, modes, frame_.thickness_mm, frame_.thickness_along_modes);
       common += (Again(along).value_or(results) - results).cwiseAbs2();
     }
     record->sigma_calibration = common.cwiseSqrt();

@@ -7,6 +7,7 @@
 #include <cmath>
 #include <cstdlib>
 #include <memory>
+#include <numbers>
 #include <utility>
 #include <vector>
 
@@ -17,13 +18,14 @@
 #include "tests/support/consistency.h"
 #include "tests/support/held_pairs.h"
 #include "tests/support/subset_noise.h"
+#include "tests/support/true_wheel.h"
 
 namespace plumbline {
 namespace {
 
 using testing::Consistency;
 
-constexpr double kDegrees = 0.017453292519943295;
+constexpr double kDegrees = std::numbers::pi / 180;
 constexpr int kLifted = 8, kRolling = 7;
 constexpr double kLiftedStep_rad = 6 * kDegrees;
 
@@ -81,32 +83,10 @@ StereoRig WithModes(StereoRig rig) {
   return rig;
 }
 
-Scenario LiftedWheel() {
-  Scenario lifted = MakeScenario("tyre-lifted", RigKind::kWide640);
-  lifted.frames = kLifted;
-  const auto& tyre = std::get<TyreOptions>(lifted.surface);
-  lifted.frames_per_second = tyre.speed_mm_s / tyre.free_rolling_radius_mm / kLiftedStep_rad;
-  return lifted;
-}
-
 Scenario FlatGround() {
   Scenario flat = MakeScenario("tyre-flat", RigKind::kWide640);
   flat.frames = kRolling;
   return flat;
-}
-
-// The true thickness, by place along the axis.
-CarcassThickness Carcass(const VirtualRig& lifted, const WheelAxis& axis) {
-  CarcassThickness carcass;
-  const auto truth = lifted.Truth(0);
-  const Rigid3 wheel_from_ground =
-      axis.RigFromWheel(0).Inverse() * truth->ground_from_rig().Inverse();
-  for (double v = -110; v <= 110; v += 2) {
-    const TruePoint point = truth->OfMaterial({0, v});
-    carcass.y_mm.push_back((wheel_from_ground * (point.position_mm - point.displacement_mm)).y());
-    carcass.thickness_mm.push_back(lifted.tyre()->CarcassThickness(v));
-  }
-  return carcass;
 }
 
 struct Proof {
@@ -231,7 +211,7 @@ void AddDraw(const Scene& lifted, const Scene& rolling, const TyrePatch& patch,
   testing::HeldPairs recording(pairs);
   ASSERT_TRUE(run.Survey(recording, [](std::int64_t, std::int64_t) { return true; }));
   RollingContactOptions contact;
-  contact.carcass = Carcass(lifted.rig, reference.wheel->axis);
+  contact.carcass = testing::TrueCarcass(lifted.rig, reference.wheel->axis, 2);
   run.FindContact(contact);
   const SeriesHeader header = run.Header();
   SeriesFrame first;
@@ -248,7 +228,9 @@ void AddDraw(const Scene& lifted, const Scene& rolling, const TyrePatch& patch,
 }
 
 void Prove(int draws) {
-  const Scene lifted(LiftedWheel()), rolling(FlatGround());
+  const Scene lifted(
+      testing::TurningBy(kLiftedStep_rad, kLifted, MakeScenario("tyre-lifted", RigKind::kWide640)));
+  const Scene rolling(FlatGround());
   const auto patch = FindPatch(*rolling.rig.tyre(), 0);
   ASSERT_TRUE(patch);
   const StereoRig rig = WithModes(rolling.rig.scenario().rig);

@@ -24,6 +24,7 @@
 #include "match/correlate_field.h"
 #include "tests/support/held_pairs.h"
 #include "tests/support/peak_memory.h"
+#include "tests/support/true_wheel.h"
 
 namespace plumbline {
 namespace {
@@ -53,10 +54,8 @@ std::vector<StereoFrame> PairsOf(const VirtualRig& rig) {
 }
 
 WheelReference ReferenceOf(RigKind kind, int frames) {
-  Scenario lifted = MakeScenario("tyre-lifted", kind);
-  lifted.frames = frames;
-  const auto& tyre = std::get<TyreOptions>(lifted.surface);
-  lifted.frames_per_second = tyre.speed_mm_s / tyre.free_rolling_radius_mm / kLifted_rad;
+  const Scenario lifted =
+      testing::TurningBy(kLifted_rad, frames, MakeScenario("tyre-lifted", kind));
   const std::vector<StereoFrame> arc = PairsOf(VirtualRig(lifted));
   const auto open = [&] { return std::make_unique<testing::HeldPairs>(arc); };
   const auto go_on = [](const std::string&, std::int64_t, std::int64_t) { return true; };

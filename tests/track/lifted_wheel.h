@@ -11,6 +11,7 @@
 #include <vector>
 
 #include "io/virtual_rig/virtual_rig.h"
+#include "tests/support/true_wheel.h"
 #include "track/wheel_reference.h"
 #include "track/wheel_tracks.h"
 
@@ -25,11 +26,8 @@ class LiftedWheel {
     RigDesign design = DesignOf(RigKind::kWide640);
     design.image_size = {320, 240};
     design.pixel_um *= 2;
-    Scenario scenario = MakeScenario("tyre-lifted", plumbline::MakeRig(design), design.distance_mm);
-    scenario.frames = frames;
-    const auto& tyre = std::get<TyreOptions>(scenario.surface);
-    scenario.frames_per_second = tyre.speed_mm_s / tyre.free_rolling_radius_mm / step_rad;
-    return scenario;
+    return TurningBy(step_rad, frames,
+                     MakeScenario("tyre-lifted", plumbline::MakeRig(design), design.distance_mm));
   }
 
   LiftedWheel(int frames, double step_rad) : LiftedWheel(ScenarioOf(frames, step_rad)) {}

@@ -7,6 +7,7 @@
 
 #include "calib/error.h"
 #include "io/virtual_rig/tyre_patch.h"
+#include "tests/support/true_wheel.h"
 #include "tests/track/lifted_wheel.h"
 #include "track/carcass_modes.h"
 #include "track/internal/turning_over_ground.h"
@@ -52,17 +53,7 @@ class RollingContactOfAnArc : public ::testing::Test {
   }
   static RollingContactOptions Options() {
     RollingContactOptions options;
-    // The true one, by place along the axis.
-    const VirtualRig& rig = rolling_->virtual_rig();
-    const auto truth = rig.Truth(0);
-    const Rigid3 wheel_from_ground =
-        reference_->axis.RigFromWheel(0).Inverse() * truth->ground_from_rig().Inverse();
-    for (double v = -110; v <= 110; v += 5) {
-      const TruePoint point = truth->OfMaterial({0, v});
-      options.carcass.y_mm.push_back(
-          (wheel_from_ground * (point.position_mm - point.displacement_mm)).y());
-      options.carcass.thickness_mm.push_back(rig.tyre()->CarcassThickness(v));
-    }
+    options.carcass = testing::TrueCarcass(rolling_->virtual_rig(), reference_->axis, 5);
     options.subset_px = kSubset;
     return options;
   }
