@@ -5,15 +5,19 @@
 #include <algorithm>
 #include <cmath>
 #include <cstddef>
+#include <cstdint>
 #include <limits>
 #include <optional>
 #include <utility>
 
 #include "calib/error.h"
+#include "calib/median.h"
 #include "calib/parallel.h"
 
 namespace plumbline {
 namespace {
+
+constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
 
 // Of a covariance's upper triangle, row by row.
 Eigen::Vector3f VariancesOf(const Eigen::Matrix<float, 6, 1>& cov) {
@@ -33,14 +37,93 @@ std::vector<int> WindowsOf(const AdaptiveGaugesOptions& options) {
   return windows;
 }
 
-bool Agree(const SurfaceStrain& small, const SurfaceStrain& large, std::size_t i, double sigmas) {
+using Squares = Eigen::Array3f;  // by component
+
+// How far gauges of two sizes say otherwise at each point: squared, over the variance that is
+// claimed for it. NaN where not both are there.
+Image<Squares> Disagreement(const SurfaceStrain& small, const SurfaceStrain& large) {
   constexpr float kLeastShare = 0.1F;
-  const Eigen::Vector3f by_small = VariancesOf(small.cov_strain.data()[i]);
-  const Eigen::Vector3f by_large = VariancesOf(large.cov_strain.data()[i]);
-  const Eigen::Vector3f variance = (by_small - by_large).cwiseMax(kLeastShare * by_small);
-  const Eigen::Vector3f off = small.strain.data()[i] - large.strain.data()[i];
-  const auto limit = static_cast<float>(sigmas * sigmas);
-  return (off.cwiseAbs2().array() <= limit * variance.array()).all();
+  Image<Squares> out(small.size(), Squares::Constant(kNan));
+  ForEachIndex(out.pixel_count(), [&](std::size_t i) {
+    if (small.status.data()[i] != Status::kOk || large.status.data()[i] != Status::kOk) return;
+    const Eigen::Vector3f by_small = VariancesOf(small.cov_strain.data()[i]);
+    const Eigen::Vector3f by_large = VariancesOf(large.cov_strain.data()[i]);
+    const Eigen::Vector3f variance = (by_small - by_large).cwiseMax(kLeastShare * by_small);
+    const Eigen::Vector3f off = small.strain.data()[i] - large.strain.data()[i];
+    out.data()[i] = off.array().square() / variance.array();
+  });
+  return out;
+}
+
+// By how much the noise is larger than claimed (variances): as gauges that are next to each other
+// in size differ at half of the points, of the three smallest, between which the surface's own
+// strain hardly matters at most places. The larger one of two: noise that goes together further
+// than claimed is seen less in small gauges than in large ones.
+Squares NoiseScale(const std::vector<SurfaceStrain>& by_size) {
+  constexpr std::size_t kPairs = 2, kEnough = 100;
+  constexpr float kMedianOfChi2 = 0.4549F;  // of one degree of freedom
+  Squares scale = Squares::Zero();
+  for (std::size_t small = 0; small < std::min(kPairs, by_size.size() - 1); ++small) {
+    const Image<Squares> off = Disagreement(by_size[small], by_size[small + 1]);
+    for (int component = 0; component < 3; ++component) {
+      std::vector<float> squares;
+      for (const Squares& q : off.values()) {
+        if (std::isfinite(q[component])) squares.push_back(q[component]);
+      }
+      const float ratio =
+          squares.size() < kEnough ? 1.0F : Median(std::move(squares)) / kMedianOfChi2;
+      scale[component] = std::max(scale[component], ratio);
+    }
+  }
+  return scale;
+}
+
+// The mean over those of the (2 half + 1)^2 points about each that have a value.
+Image<Squares> MeanAround(const Image<Squares>& values, int half) {
+  using Sums = Eigen::Array4f;  // and the number
+  const ImageSize size = values.size();
+  const auto sum = [&](int n, const auto& at) {
+    Sums out = Sums::Zero();
+    for (int k = -half; k <= half; ++k) out += at(n + k);
+    return out;
+  };
+  Image<Sums> along(size, Sums::Zero());
+  ForEachIndex(values.pixel_count(), [&](std::size_t i) {
+    const int r = static_cast<int>(i) / size.width, c = static_cast<int>(i) % size.width;
+    along.data()[i] = sum(c, [&](int column) -> Sums {
+      if (column < 0 || column >= size.width) return Sums::Zero();
+      const Squares& q = values(r, column);
+      return q.isFinite().all() ? Sums(q[0], q[1], q[2], 1) : Sums(Sums::Zero());
+    });
+  });
+  Image<Squares> out(size, Squares::Constant(kNan));
+  ForEachIndex(values.pixel_count(), [&](std::size_t i) {
+    const int r = static_cast<int>(i) / size.width, c = static_cast<int>(i) % size.width;
+    const Sums total = sum(r, [&](int row) -> Sums {
+      return row < 0 || row >= size.height ? Sums(Sums::Zero()) : along(row, c);
+    });
+    if (total[3] > 0) out.data()[i] = total.head<3>() / total[3];
+  });
+  return out;
+}
+
+// Which of the gauges agree, by size: agrees[k] those of size k with all smaller ones.
+std::vector<Image<std::uint8_t>> Agreement(const std::vector<SurfaceStrain>& by_size,
+                                           double sigmas) {
+  constexpr int kHalfAround = 2;
+  const Squares limit = static_cast<float>(sigmas * sigmas) * NoiseScale(by_size);
+  std::vector<Image<std::uint8_t>> agrees(by_size.size(),
+                                          Image<std::uint8_t>(by_size[0].size(), 1));
+  for (std::size_t large = 1; large < by_size.size(); ++large) {
+    for (std::size_t small = 0; small < large; ++small) {
+      const Image<Squares> off =
+          MeanAround(Disagreement(by_size[small], by_size[large]), kHalfAround);
+      ForEachIndex(off.pixel_count(), [&](std::size_t i) {
+        if ((off.data()[i] > limit).any()) agrees[large].data()[i] = 0;
+      });
+    }
+  }
+  return agrees;
 }
 
 // Which gauge is taken at a point, and which one tells what its polynomial leaves out.
@@ -48,21 +131,17 @@ struct Choice {
   std::optional<std::size_t> taken, other;
 };
 
-Choice ChooseAt(const std::vector<SurfaceStrain>& by_size, std::size_t i, double sigmas) {
+Choice ChooseAt(const std::vector<SurfaceStrain>& by_size,
+                const std::vector<Image<std::uint8_t>>& agrees, std::size_t i) {
   Choice choice;
-  std::vector<std::size_t> smaller;
   for (std::size_t k = 0; k < by_size.size(); ++k) {
     if (by_size[k].status.data()[i] != Status::kOk) continue;
-    const bool agrees = std::all_of(smaller.begin(), smaller.end(), [&](std::size_t j) {
-      return Agree(by_size[j], by_size[k], i, sigmas);
-    });
-    if (!agrees) {
+    if (choice.taken && agrees[k].data()[i] == 0) {
       choice.other = k;
       break;
     }
     choice.other = choice.taken;
     choice.taken = k;
-    smaller.push_back(k);
   }
   return choice;
 }
@@ -116,13 +195,13 @@ AdaptiveStrain AdaptiveGauges::Strain(const SurfaceState& now, const Image<Statu
     out.strain = std::move(by_size[0]);
     return out;
   }
-  constexpr float kNan = std::numeric_limits<float>::quiet_NaN();
   const ImageSize size = status.size();
   out.window_points = Image<float>(size, kNan);
   out.sigma_model = Image<Eigen::Vector3f>(size, Eigen::Vector3f::Constant(kNan));
   out.strain = by_size.back();
+  const std::vector<Image<std::uint8_t>> agrees = Agreement(by_size, options_.agreement_sigmas);
   ForEachIndex(status.pixel_count(), [&](std::size_t i) {
-    const Choice choice = ChooseAt(by_size, i, options_.agreement_sigmas);
+    const Choice choice = ChooseAt(by_size, agrees, i);
     CopyPoint(by_size[choice.taken.value_or(0)], i, out.strain);
     if (!choice.taken) return;
     const SurfaceStrain& taken = by_size[*choice.taken];

@@ -17,7 +17,7 @@ struct AdaptiveGaugesOptions {
   // The smallest window, odd; 0: all gauges have the largest.
   int smallest_window_points = 0;
   // How many sigmas of their difference a larger gauge may say otherwise than a smaller one.
-  double agreement_sigmas = 2;
+  double agreement_sigmas = 1.7;
 
   // Throws UsageError naming the broken constraint.
   void Check() const;
@@ -36,11 +36,14 @@ struct AdaptiveStrain {
 // varies fast a large gauge smooths it, where it does not a small one only adds noise.
 //
 // Windows grow by about a third from the smallest to the largest. At each point the largest one
-// is taken of which it and all smaller ones agree, in all three components: by no more than
-// agreement_sigmas of their difference, whose variance is that of the smaller gauge less that of
-// the larger (as of nested least-squares fits), at least a tenth of the smaller one's.
-// (Intersection of confidence intervals: Goldenshluger and Nemirovski, 1997; Katkovnik, 1999.) No
-// truth is asked for, nor what the specimen is.
+// is taken of which it and all smaller ones agree, in all three components: the square of their
+// difference over its variance, a mean over the 5 x 5 points about it, is at most agreement_sigmas
+// squared. The variance is that of the smaller gauge less that of the larger (as of nested
+// least-squares fits), at least a tenth of the smaller one's, times the factor by which noise is
+// larger than claimed: of each frame and component, by the median differences of the three smallest
+// gauges. (Intersection of confidence intervals: Goldenshluger and Nemirovski, 1997; Katkovnik,
+// 1999; over a neighbourhood: what a gauge smooths it smooths around it too, noise is not alike.)
+// No truth is asked for, nor what the specimen is.
 //
 // sigma_model is by how much the next larger gauge says otherwise, the first that does not agree;
 // of the largest window, the next smaller one. The sigmas of noise and calibration are those of the
