@@ -24,6 +24,12 @@ namespace plumbline {
 // Then q, and by how much the angles scatter more than they claim, follow by maximum likelihood of
 // the innovations.
 //
+// Turns from frame to frame that something else measures, as an encoder does, are observations of
+// the same problem, x_i+1 - x_i = turn + noise: right however the wheel moves in between. They tell
+// nothing of the angle itself; the measured angles do. Where the errors of these drift from frame
+// to frame, as over an obstacle that draws the whole surface along, the drift is a fourth entry of
+// the state that walks at random, from nothing in the first frame: it does not average out.
+//
 // Times may lie unevenly. Units: rad and s (where times are in another unit, that).
 struct AngleSmootherOptions {
   // Root of q; left out: estimated. 0: constant acceleration.
@@ -34,6 +40,14 @@ struct AngleSmootherOptions {
   void Check() const;
 };
 
+// Between each frame and the next: one less than there are frames.
+struct AngleTurns {
+  std::vector<double> turn_rad, sigma_rad;  // NaN where none was measured; empty: none was
+  // One sigma of what the common error of the measured angles changes by. Empty: it does not.
+  std::vector<double> drift_rad;
+  Eigen::MatrixXd along_rad;  // (K, turns), small changes of the turns with one cause each
+};
+
 struct SmoothedAngle {
   double angle_rad = 0, speed_rad_s = 0;
   double sigma_angle_rad = 0, sigma_speed_rad_s = 0;  // random
@@ -41,16 +55,19 @@ struct SmoothedAngle {
   // frame. 1 where none was, or where it is an outlier.
   double lean = 1;
   bool outlier = false;
+  bool turn_outlier = false;  // the turn to the next frame does not count
 };
 
 struct SmoothedAngles {
   std::vector<SmoothedAngle> frames;
   double jerk_rad_s25 = 0;
-  // By how much the angles scatter more than their sigmas say; never below 1. The sigmas above
-  // count it. 1 where there are less than kEnoughForScatter frames to tell.
+  // By how much the angles, with the turns, scatter more than their sigmas say; never below 1. The
+  // sigmas above count it. 1 where there are less than kEnoughForScatter of them to tell.
   double scatter = 1;
   // Of the smoothed angles and speeds, one row a row of `along`.
   Eigen::MatrixXd angle_along_rad, speed_along_rad_s;
+  // The same for AngleTurns::along_rad.
+  Eigen::MatrixXd angle_along_turns_rad, speed_along_turns_rad_s;
 
   static constexpr int kEnoughForScatter = 10;
 };
@@ -58,13 +75,14 @@ struct SmoothedAngles {
 // times_s: growing. angles_rad: NaN where none was measured; unwrapped. sigmas_rad: of each, from
 // independent noise. along: (K, frames), small changes of the measured angles that have one cause
 // each, such as calibration modes (NaN counts as 0): they go through the smoother as the angles do.
-// Throws std::invalid_argument for sizes that do not fit, times that do not grow and sigmas that
-// are not positive; UsageError from the options.
+// Throws std::invalid_argument for sizes that do not fit, times that do not grow, sigmas that are
+// not positive and drifts below 0; UsageError from the options.
 // Accuracy: tests/track/angle_smoother_test.cc.
 [[nodiscard]] SmoothedAngles SmoothAngles(std::span<const double> times_s,
                                           std::span<const double> angles_rad,
                                           std::span<const double> sigmas_rad,
                                           const Eigen::MatrixXd& along,
-                                          const AngleSmootherOptions& options = {});
+                                          const AngleSmootherOptions& options = {},
+                                          const AngleTurns& turns = {});
 
 }  // namespace plumbline
