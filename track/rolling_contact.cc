@@ -19,8 +19,6 @@ namespace plumbline {
 namespace {
 
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
-// How much the errors of a smoothed ground go together from frame to frame.
-constexpr double kAlike = 0.9;
 const Eigen::Vector3d kNowhere = Eigen::Vector3d::Constant(kNone);
 
 // The points of one frame on the survey's grid, in the rig frame.
@@ -361,7 +359,7 @@ void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContact
     return;
   }
   MaterialVelocityOptions options;
-  options.ground_correlation = kAlike;
+  options.ground_correlation = internal::kPosesAlike;
   const MaterialVelocity velocity = VelocityOfMaterial(frames, neighbours_, options);
   WheelTurning wheel;
   wheel.axis = reference_.axis;
@@ -371,7 +369,7 @@ void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContact
   const std::size_t last = frames.after != nullptr ? f + 1 : f;
   wheel.speed_rad_s =
       internal::TurningOverGround(rolling_, first, f, last, contact->frames[first].rotation,
-                                  contact->frames[last].rotation, kAlike);
+                                  contact->frames[last].rotation, internal::kPosesAlike);
   std::optional<MeasuredScalar> channel;
   if (options_.vehicle_speed_mm_s) {
     const double from_s = TimeOf(first), to_s = TimeOf(last);

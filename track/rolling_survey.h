@@ -81,7 +81,10 @@ struct RollingFrame {
   // NaN without a clock.
   double speed_rad_s = kNone, sigma_random_rad_s = kNone, sigma_calibration_rad_s = kNone;
   double measured_angle_rad = kNone, sigma_measured_rad = kNone;  // by this frame alone
-  double lean = kNone;   // on the smoother, see SmoothedAngle
+  double lean = kNone;  // on the smoother, see SmoothedAngle
+  // How much of the turn since the placed frame before (of the first one: to the next) follows a
+  // channel of the wheel's speed, as ChannelLean::lean; NaN where none was used.
+  double channel_lean = kNone;
   bool outlier = false;  // this frame's own angle contradicts the others and does not count
   // Where the right camera has moved and its pose is refined: the one used, and that with one
   // standard deviation of its errors along each of their independent directions.
