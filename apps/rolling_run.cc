@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "apps/internal/rolling_records.h"
+#include "apps/internal/wheel_lean.h"
 #include "apps/internal/wheel_motion.h"
 #include "calib/error.h"
 #include "track/rolling_starts.h"
@@ -68,6 +69,8 @@ struct RollingRun::Impl {
   SeriesFrame MeasurePlaced(const StereoFrame& pair, std::size_t at, StereoRunFrame& out);
   std::optional<UncertainFrame> GroundAt(std::size_t at) const;
   void AddContact(std::size_t at, SeriesFrame* frame) const;
+  void AddLean(std::size_t at, SeriesFrame* frame) const;
+  std::vector<RigRotationFrame> Rotation(bool over_ground) const;  // empty: against the rig
 
   WheelReference reference;
   RollingRunOptions options;
@@ -75,6 +78,7 @@ struct RollingRun::Impl {
   std::unique_ptr<RollingSurvey> survey;  // until it is done
   RollingWheel rolling;
   std::optional<RollingContact> contact;
+  std::optional<ChannelLean> lean;  // where there was a channel of the wheel's speed
   double threshold_mm = 0;
   std::string convention;        // of slip
   std::list<Prepared> prepared;  // the last used first
@@ -154,6 +158,7 @@ std::vector<std::string> RollingRun::Notes() const {
       "All wheel angles together may be off by {:.2g} degrees, and displacements around the wheel "
       "with them: what shears the tyre all over the view cannot be told from a turn.",
       rolling.sigma_common_rad / kDegree));
+  if (impl_->lean) notes.push_back(internal::TextOf(*impl_->lean));
   if (impl_->contact && !impl_->contact->found) {
     notes.push_back("The ground is in no frame: " + impl_->contact->problem);
   }
@@ -164,10 +169,11 @@ std::vector<std::string> RollingRun::Notes() const {
     });
     if (obstacles > 0) {
       notes.push_back(fmt::format(
-          "In {} frames the law of lift-off does not hold, as over an obstacle. The wheel's turn "
-          "is told there by what of the surface stands still before and behind the contact; what "
-          "draws all of it along cannot be told from a turn.",
-          obstacles));
+          "In {} frames the law of lift-off does not hold, as over an obstacle. {}", obstacles,
+          impl_->lean && impl_->lean->used
+              ? "The wheel's turn there is that of the channel."
+              : "The wheel's turn is told there by what of the surface stands still before and "
+                "behind the contact; what draws all of it along cannot be told from a turn."));
     }
   }
   if (!impl_->reference.closed) {
@@ -190,6 +196,7 @@ SeriesHeader RollingRun::Header() {
     header.contents.patch = header.contents.slip = true;
     header.contents.rig_rotation = header.contents.deformation = true;
     header.slip_convention = impl.convention;
+    header.contents.wheel_channel = impl.lean.has_value();
   }
   header.displacement_reference = "wheel";
   header.reference.reset();  // each view has its own
@@ -244,6 +251,37 @@ void RollingRun::Impl::AddContact(std::size_t at, SeriesFrame* frame) const {
                                        rolling.spacing_px / options.sequence.field.step_px);
 }
 
+void RollingRun::Impl::AddLean(std::size_t at, SeriesFrame* frame) const {
+  if (!lean) return;
+  WheelChannelRecord& record = frame->wheel_channel;
+  record.found = lean->used && frame->wheel.found;
+  record.lean = rolling.frames[at].channel_lean;
+  if (!record.found) record.problem = lean->used ? frame->wheel.problem : lean->problem;
+}
+
+std::vector<RigRotationFrame> RollingRun::Impl::Rotation(bool over_ground) const {
+  std::vector<RigRotationFrame> rotation;
+  if (!over_ground) return rotation;
+  for (const RollingContactFrame& frame : contact.value().frames) {
+    rotation.push_back(frame.rotation);
+  }
+  return rotation;
+}
+
+SampledSignal RollingRun::WheelSpeeds(bool over_ground) const {
+  return WheelSpeedsOf(impl_->rolling, impl_->Rotation(over_ground));
+}
+
+void RollingRun::LeanOn(const std::optional<WheelSpeedChannel>& channel, bool over_ground,
+                        const std::string& problem) {
+  Impl& impl = *impl_;
+  impl.lean.emplace();
+  impl.lean->problem = problem;
+  if (!channel) return;
+  impl.lean = LeanOnChannel(*channel, impl.Rotation(over_ground), impl.options.survey.smoother,
+                            &impl.rolling);
+}
+
 void RollingRun::FindContact(RollingContactOptions contact) {
   Impl& impl = *impl_;
   contact.subset_px = impl.options.survey.matching.field.correlator.subset_px;
@@ -264,6 +302,7 @@ StereoRunFrame RollingRun::Measure(const StereoFrame& pair, std::int64_t positio
     out.frame = impl_->MeasurePlaced(pair, at, out);
   }
   if (!out.frame.wheel.found) out.frame.wheel.problem = out.frame.problem;
+  impl_->AddLean(at, &out.frame);
   impl_->AddContact(at, &out.frame);
   out.frame.index = pair.index;
   out.frame.time_s = pair.time_s;

@@ -15,6 +15,7 @@
 #include "track/rolling_contact.h"
 #include "track/rolling_survey.h"
 #include "track/wheel_reference.h"
+#include "track/wheel_speed_channel.h"
 
 namespace plumbline {
 
@@ -64,6 +65,15 @@ class RollingRun {
   // are then told in the ground frame of their moment. What depends on the survey's points in
   // `options` is set here. Throws as FindRollingContact().
   void FindContact(RollingContactOptions options);
+
+  // The wheel's speed by the images, after Survey(); over the ground after FindContact().
+  SampledSignal WheelSpeeds(bool over_ground) const;
+  // Smooths the wheel's angle again with a channel of its speed, see LeanOnChannel(); where that
+  // tells the speed over the ground, after FindContact(), which has to follow anew in any case.
+  // Without a channel the notes say that it is not used, for this problem. Throws as
+  // LeanOnChannel().
+  void LeanOn(const std::optional<WheelSpeedChannel>& channel, bool over_ground,
+              const std::string& problem);
 
   // After Survey().
   const RollingWheel& wheel() const;

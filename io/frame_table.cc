@@ -184,6 +184,10 @@ Columns ColumnsOf(const SeriesContents& contents) {
   Columns columns;
   AddGround(columns);
   if (contents.wheel) AddWheel(columns);
+  if (contents.wheel_channel) {
+    columns.Plain("wheel_channel_lean",
+                  [](const SeriesFrame& frame) { return frame.wheel_channel.lean; });
+  }
   if (contents.patch) AddPatch(columns);
   if (contents.slip) AddSlip(columns);
   if (contents.rig_rotation) AddRigRotation(columns);

@@ -41,6 +41,7 @@ struct SeriesContents {
   bool deformation = false;     // /deformation
   bool material = false;        // /material
   bool strain_windows = false;  // a gauge at each point: /strain/window_points, the model's errors
+  bool wheel_channel = false;   // /wheel_channel
 
   friend bool operator==(const SeriesContents&, const SeriesContents&) = default;
 };
@@ -237,6 +238,7 @@ struct SeriesFrame {
   RigWatchRecord rig_watch;
   RigRotationRecord rig_rotation;
   DeformationRecord deformation;
+  WheelChannelRecord wheel_channel;
   MaterialField material;
 };
 

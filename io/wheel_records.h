@@ -36,6 +36,15 @@ struct WheelRecord {
   static constexpr double kNotMeasured = std::numeric_limits<double>::quiet_NaN();
 };
 
+// What a channel of the wheel's speed does to its angle, as /wheel_channel holds it. Not found: it
+// was not used.
+struct WheelChannelRecord {
+  bool found = false;
+  std::string problem;  // why not
+  // Share of the turn since the frame before (in the first one: to the next) that follows it.
+  double lean = std::numeric_limits<double>::quiet_NaN();
+};
+
 // The contact patch of one frame, as /patch holds it: length along x of the ground frame (the
 // direction of travel), width along y. Where it was found, the area is a number.
 struct PatchRecord {

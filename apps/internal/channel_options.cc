@@ -17,9 +17,19 @@ void ChannelOptionSet::Declare(OptionTable& options) {
                        "known",
                .unit = "s"},
               &clock_offset_s_);
+  options.Add({.name = "channel-offset-sigma",
+               .help = "standard deviation of --channel-offset, where that is surely known: a "
+                       "channel of the wheel's speed then corrects it only where it is surer",
+               .unit = "s",
+               .min = 0,
+               .max = 10},
+              &sigma_clock_offset_s_);
 }
 
 std::vector<Channel> ChannelOptionSet::Read() const {
+  if (sigma_clock_offset_s_ && !clock_offset_s_) {
+    throw UsageError("--channel-offset-sigma is of --channel-offset, which is not given.");
+  }
   if (file_.empty()) {
     if (clock_offset_s_) throw UsageError("--channel-offset is of --channels, which is not given.");
     return {};
@@ -27,6 +37,7 @@ std::vector<Channel> ChannelOptionSet::Read() const {
   std::vector<Channel> channels = ReadChannelTable(file_);
   for (Channel& channel : channels) {
     if (clock_offset_s_) channel.clock_offset_s = *clock_offset_s_;
+    if (sigma_clock_offset_s_) channel.sigma_clock_offset_s = *sigma_clock_offset_s_;
   }
   return channels;
 }

@@ -20,7 +20,7 @@ class ChannelOptionSet {
 
  private:
   std::string file_;
-  std::optional<double> clock_offset_s_;
+  std::optional<double> clock_offset_s_, sigma_clock_offset_s_;
 };
 
 }  // namespace plumbline::internal

@@ -34,18 +34,6 @@ std::optional<std::vector<double>> ParseNumbers(const std::string& text, char pa
   }
 }
 
-const Channel& Named(const std::vector<Channel>& channels, const std::string& name) {
-  const auto found = std::find_if(channels.begin(), channels.end(),
-                                  [&](const Channel& channel) { return channel.name == name; });
-  if (found != channels.end()) return *found;
-  std::string there;
-  for (const Channel& channel : channels) {
-    there += (there.empty() ? "" : ", ") + channel.name;
-  }
-  throw UsageError(fmt::format("There is no channel '{}' in the table of --channels{}.", name,
-                               there.empty() ? "" : "; there are " + there));
-}
-
 double MillimetresASecond(const Channel& channel) {
   if (channel.units == "m/s") return 1e3;
   if (channel.units == "km/h") return 1e3 / 3.6;
@@ -148,10 +136,7 @@ void ContactOptionSet::Declare(OptionTable& options) {
                .min = 0,
                .max = 1e3},
               &vehicle_speed_sigma_m_s_);
-  options.Add({.name = "wheel-speed",
-               .help = "channel of --channels with the wheel's speed: tells the offset of the "
-                       "logger's clock, with --channel-offset within 0.3 s of that"},
-              &wheel_speed_);
+  wheel_speed_.Declare(options);
   options.Add({.name = "slip-convention",
                .help = "signs and definitions of slip (docs/theory.md)",
                .choices = {"iso8855", "sae-j670"}},
@@ -220,59 +205,21 @@ RollingContactOptions ContactOptionSet::Options(double crown_y_mm) const {
 }
 
 void ContactOptionSet::CheckChannels(const std::vector<Channel>& channels) const {
-  if (!wheel_speed_.empty()) (void)Named(channels, wheel_speed_);
+  wheel_speed_.Check(channels);
   if (vehicle_speed_.empty()) return;
-  const Channel& vehicle = Named(channels, vehicle_speed_);
+  const Channel& vehicle = ChannelNamed(channels, vehicle_speed_);
   (void)MillimetresASecond(vehicle);
-  if (std::isfinite(vehicle.clock_offset_s) || !wheel_speed_.empty()) return;
+  if (std::isfinite(vehicle.clock_offset_s) || wheel_speed_.given()) return;
   throw UsageError(
       "How the logger's clock goes against the cameras' is not known: give --channel-offset, or "
       "with --wheel-speed the channel of the wheel's speed.");
 }
 
-std::string ContactOptionSet::AddChannels(const RollingWheel& rolling,
-                                          std::vector<Channel>* channels,
-                                          RollingContactOptions* options) const {
-  CheckChannels(*channels);
-  std::string found;
-  if (!wheel_speed_.empty()) {
-    const Channel& theirs = Named(*channels, wheel_speed_);
-    // About what is known of it, which tells the periods of a speed that swings apart.
-    constexpr double kAbout_s = 0.3;
-    const bool known = std::isfinite(theirs.clock_offset_s);
-    const double about_s = known ? theirs.clock_offset_s : 0;
-    SampledSignal ours, logged{theirs.time_s, theirs.value};
-    for (double& time_s : logged.time_s) time_s -= about_s;
-    for (const RollingFrame& frame : rolling.frames) {
-      if (!std::isfinite(frame.speed_rad_s)) continue;
-      ours.time_s.push_back(frame.time_s);
-      ours.value.push_back(frame.speed_rad_s);
-    }
-    ClockOffsetOptions search;
-    if (known) search.most_s = kAbout_s;
-    try {
-      const ClockOffset clock = FindClockOffset(ours, logged, search);
-      for (Channel& channel : *channels) {
-        channel.clock_offset_s = about_s + clock.offset_s;
-        channel.sigma_clock_offset_s = clock.sigma_s;
-      }
-      found = fmt::format(
-          "By the wheel's speed the logger's clock reads {:.4f} s when that of the frames is 0, "
-          "sigma {:.1g} s.",
-          about_s + clock.offset_s, clock.sigma_s);
-    } catch (const InputError& error) {
-      if (!known) {
-        return fmt::format(
-            "The logger's clock stays unknown, and there is no slip by its channel; with "
-            "--channel-offset the offset is looked for near that: {}",
-            error.what());
-      }
-      found = fmt::format("The offset of the logger's clock is that of --channel-offset: {}",
-                          error.what());
-    }
-  }
-  if (vehicle_speed_.empty()) return found;
-  const Channel& vehicle = Named(*channels, vehicle_speed_);
+void ContactOptionSet::AddVehicleSpeed(const std::vector<Channel>& channels,
+                                       RollingContactOptions* options) const {
+  if (vehicle_speed_.empty()) return;
+  const Channel& vehicle = ChannelNamed(channels, vehicle_speed_);
+  if (!std::isfinite(vehicle.clock_offset_s)) return;
   SampledSignal speed{vehicle.time_s, vehicle.value};
   for (double& value : speed.value) value *= MillimetresASecond(vehicle);
   options->channel_clock.offset_s = vehicle.clock_offset_s;
@@ -281,7 +228,6 @@ std::string ContactOptionSet::AddChannels(const RollingWheel& rolling,
   }
   options->vehicle_speed_mm_s = std::move(speed);
   options->sigma_vehicle_speed_mm_s = 1e3 * vehicle_speed_sigma_m_s_;
-  return found;
 }
 
 }  // namespace plumbline::internal

@@ -5,6 +5,7 @@
 #include <vector>
 
 #include "apps/internal/option_table.h"
+#include "apps/internal/wheel_speed_options.h"
 #include "io/series_writer.h"
 #include "track/rolling_contact.h"
 
@@ -29,18 +30,18 @@ class ContactOptionSet {
   // of a speed, and where nothing would tell the logger's clock.
   void CheckChannels(const std::vector<Channel>& channels) const;
 
-  // The vehicle's speed out of the channels, on our clock. The offset of the logger's follows from
-  // the wheel's speed where a channel has it, near the one that is said, and is written into the
-  // channels, which are of one logger. Says in a sentence what was found, or why it was not:
-  // without any offset there is no slip by the channel. Empty: there was nothing to find.
-  std::string AddChannels(const RollingWheel& rolling, std::vector<Channel>* channels,
-                          RollingContactOptions* options) const;
+  const WheelSpeedOptionSet& wheel_speed() const { return wheel_speed_; }
+
+  // The vehicle's speed out of the channels, on our clock; without its offset there is no slip by
+  // the channel.
+  void AddVehicleSpeed(const std::vector<Channel>& channels, RollingContactOptions* options) const;
 
  private:
   CarcassThickness Carcass(double crown_y_mm) const;
 
   std::string carcass_ = "0", ground_turns_, obstacle_height_, camber_, vehicle_speed_,
-              wheel_speed_, convention_ = "iso8855";
+              convention_ = "iso8855";
+  WheelSpeedOptionSet wheel_speed_;
   double vehicle_speed_sigma_m_s_ = 0, radius_sigma_mm_ = 0, threshold_mm_ = 0.5;
   double carcass_sigma_mm_ = 0;
   std::optional<double> radius_mm_;

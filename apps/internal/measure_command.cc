@@ -18,6 +18,7 @@
 #include "apps/internal/rolling_options.h"
 #include "apps/internal/shard_option.h"
 #include "apps/internal/stereo_options.h"
+#include "apps/internal/wheel_lean.h"
 #include "apps/interrupt.h"
 #include "apps/pipeline.h"
 #include "apps/rig_input.h"
@@ -344,8 +345,7 @@ std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common,
   });
   progress.reset();
   if (!whole) return std::nullopt;
-  const std::string clock = contact_.AddChannels(run->wheel(), channels, &contact);
-  run->FindContact(std::move(contact));
+  const std::string clock = FindContact(contact_, std::move(contact), *run, channels);
   Measurement out{run->Header(), {}, {}, 1, run->Notes(), files};
   if (!clock.empty()) out.notes.push_back(clock);
   out.measure = [run](const StereoFrame& pair, std::int64_t position) {

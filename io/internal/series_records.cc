@@ -390,12 +390,32 @@ RecordGroup RigWatchGroup() {
   return add.Take();
 }
 
+RecordGroup WheelChannelGroup() {
+  using W = WheelChannelRecord;
+  RecordGroup group{"/wheel_channel",
+                    "channel of the wheel's speed in its angle",
+                    "lean",
+                    &SeriesContents::wheel_channel,
+                    {},
+                    {},
+                    {},
+                    {},
+                    {}};
+  GroupBuilder<W> add(std::move(group), &SeriesFrame::wheel_channel);
+  add.Stored({"lean", "1",
+              "share of the wheel's turn since the frame before that follows the channel; 0: "
+              "images tell all of it"},
+             &W::lean);
+  return add.Take();
+}
+
 }  // namespace
 
 const std::vector<RecordGroup>& RecordGroups() {
   static const std::vector<RecordGroup> groups = {
-      GroundGroup(),      WheelGroup(),    PatchGroup(),       SlipGroup(),
-      RigidMotionGroup(), RigWatchGroup(), RigRotationGroup(), DeformationGroup()};
+      GroundGroup(),      WheelGroup(),       PatchGroup(),
+      SlipGroup(),        RigidMotionGroup(), RigWatchGroup(),
+      RigRotationGroup(), DeformationGroup(), WheelChannelGroup()};
   return groups;
 }
 

@@ -262,10 +262,12 @@ TEST_F(RollingTyre, IsMeasuredByTheCommand) {
   WriteWheelFile(folder / "wheel.h5", *reference_);
   WriteRigFile(folder / "rig.h5", reference_->rig);
   const auto path = [&](const std::string& name) { return (folder / name).string(); };
+  std::ofstream(folder / "channels.csv") << "time [s],w [rad/s]\n0,3\n1,3.1\n";
   const std::string images = " --left " + path("left") + " --right " + path("right") +
                              " --subset 19 --step 12 -q -o " + path("run.h5");
   const CommandResult made =
-      RunPlumbline("measure --json --fps 10 --reference " + path("wheel.h5") + images);
+      RunPlumbline("measure --json --fps 10 --reference " + path("wheel.h5") + " --channels " +
+                   path("channels.csv") + " --channel-offset 0 --wheel-speed w" + images);
   ASSERT_EQ(made.exit_code, 0) << made.output;
   EXPECT_THAT(Validate(folder / "run.h5"), IsEmpty());
   const SeriesReader run(folder / "run.h5");
@@ -275,6 +277,10 @@ TEST_F(RollingTyre, IsMeasuredByTheCommand) {
   EXPECT_FALSE(run.Frame(0).material.position_mm.empty());
   EXPECT_THAT(run.Frame(1).problem, HasSubstr("not found on the wheel"));
   EXPECT_FALSE(run.Frame(1).wheel.found);
+  // One frame does not turn; the channel is not used, and file and report say so.
+  EXPECT_FALSE(run.Frame(0).wheel_channel.found);
+  EXPECT_THAT(run.Frame(0).wheel_channel.problem, HasSubstr("no two frames"));
+  EXPECT_THAT(made.output, HasSubstr("does not lean on the channel"));
 
   const auto refused = [&](const std::string& arguments, int code, const std::string& text) {
     const CommandResult result = RunPlumbline("measure --overwrite " + arguments + images);
@@ -293,6 +299,9 @@ TEST_F(RollingTyre, IsMeasuredByTheCommand) {
   refused(wheel + " --obstacle-height 38,0.1,2", 2, "above 0");
   refused(wheel + " --camber 1", 2, "standard deviation");
   refused(wheel + " --fps 10 --vehicle-speed v", 2, "no channel 'v'");
+  refused(wheel + " --fps 10 --wheel-speed v", 2, "no channel 'v'");
+  refused(wheel + " --wheel-speed-sigma 0.1", 2, "give --wheel-speed");
+  refused(wheel + " --channel-offset-sigma 0.1", 2, "of --channel-offset");
   refused("--reference " + path("rig.h5"), 3, "rig.h5");
   refused("--reference " + path("none.h5"), 3, "none.h5");
 }

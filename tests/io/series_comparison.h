@@ -244,6 +244,9 @@ inline void ExpectSameFrame(const SeriesFrame& a, const SeriesFrame& b) {
   ExpectSameRigWatch(a.rig_watch, b.rig_watch);
   ExpectSameRigRotation(a.rig_rotation, b.rig_rotation);
   ExpectSameDeformation(a.deformation, b.deformation);
+  EXPECT_EQ(a.wheel_channel.found, b.wheel_channel.found);
+  EXPECT_EQ(a.wheel_channel.problem, b.wheel_channel.problem);
+  ExpectSame(a.wheel_channel.lean, b.wheel_channel.lean);
 }
 
 }  // namespace plumbline::testing

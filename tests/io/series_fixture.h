@@ -84,7 +84,7 @@ inline SeriesFrame SmallFrame(std::int64_t i, ImageSize grid = {7, 5}) {
 // A header with every optional group.
 inline SeriesHeader FullHeader(ImageSize grid = {7, 5}) {
   SeriesHeader header = SmallHeader(grid);
-  header.contents = {true, true, true, true, true, true, true,
+  header.contents = {true, true, true, true, true, true, true, true,
                      true, true, true, true, true, true, true};
   header.grid_points = "material";
   header.displacement_reference = "frame 10";
@@ -250,6 +250,12 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
     rotation.sigma_calibration_roll_rad = 12e-4;
     rotation.sigma_random_height_mm = 0.03;
     rotation.sigma_calibration_height_mm = 0.04;
+  }
+  frame.wheel_channel.found = i != 1;
+  if (frame.wheel_channel.found) {
+    frame.wheel_channel.lean = 0.9;
+  } else {
+    frame.wheel_channel.problem = "another unit";
   }
   DeformationRecord& deformation = frame.deformation;
   deformation.found = true;

@@ -110,7 +110,8 @@ TEST(SeriesGroups, AreEachOptional) {
         &SeriesContents::wheel, &SeriesContents::patch, &SeriesContents::slip,
         &SeriesContents::matches, &SeriesContents::velocity, &SeriesContents::rigid_motion,
         &SeriesContents::rig_watch, &SeriesContents::rig_rotation, &SeriesContents::deformation,
-        &SeriesContents::material, &SeriesContents::strain_windows}) {
+        &SeriesContents::material, &SeriesContents::strain_windows,
+        &SeriesContents::wheel_channel}) {
     SeriesHeader header = SmallHeader();
     header.contents.*flag = true;
     if (header.contents.strain_windows) header.contents.strain = true;
@@ -132,6 +133,7 @@ TEST(SeriesGroups, AreEachOptional) {
     EXPECT_EQ(frame.rig_watch.found, header.contents.rig_watch);
     EXPECT_EQ(frame.rig_rotation.found, header.contents.rig_rotation);
     EXPECT_EQ(frame.deformation.found, header.contents.deformation);
+    EXPECT_EQ(frame.wheel_channel.found, header.contents.wheel_channel);
     EXPECT_EQ(frame.patch.contour_mm.size(), header.contents.patch ? 3u : 0u);
     EXPECT_THAT(Validate(file), IsEmpty());
   }
@@ -306,13 +308,13 @@ TEST(SeriesGroups, AreNamedInTheSummary) {
       Inspect(file).Text(),
       HasSubstr("also holds: covariance, displacement, strain, patch, slip, matches, velocity, "
                 "rigid_motion, rig_watch, rig_rotation, deformation, material, strain_windows, "
-                "channels (Fz, empty)\n"));
+                "wheel_channel, channels (Fz, empty)\n"));
   Write(TestFolder() / "plain.h5", SmallHeader(), {SmallFrame(0)});
   EXPECT_THAT(Inspect(TestFolder() / "plain.h5").Text(), ::testing::Not(HasSubstr("also")));
   EXPECT_THAT(Names(header.contents),
               ElementsAre("covariance", "displacement", "strain", "patch", "slip", "matches",
                           "velocity", "rigid_motion", "rig_watch", "rig_rotation", "deformation",
-                          "material", "strain_windows"));
+                          "material", "strain_windows", "wheel_channel"));
 }
 
 TEST(PrincipalStrain, IsThatOfMohrsCircle) {
