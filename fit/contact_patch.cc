@@ -92,7 +92,7 @@ Polygon PolygonOf(const std::vector<Corner>& outline) {
   return polygon;
 }
 
-// What moving one corner does to area, length, width and centroid.
+// What moving one corner does to the results.
 using ByCorner = Eigen::Matrix<double, ContactPatch::kResults, 2>;
 
 class Influences {
@@ -115,7 +115,7 @@ class Influences {
       a.leftCols<2>() += (1 - corner.share) * by;
       b.leftCols<2>() += corner.share * by;
       // A higher point moves the corner as a lower threshold would, by its share.
-      const Eigen::Matrix<double, ContactPatch::kResults, 1> per_gap = by * corner.per_threshold;
+      const ContactPatch::Results per_gap = by * corner.per_threshold;
       a.col(2) -= (1 - corner.share) * per_gap;
       b.col(2) -= corner.share * per_gap;
     }
@@ -145,7 +145,10 @@ class Influences {
     };
     side(before, at, -1, before);
     side(at, after, 1, after);
-    by.bottomRows<2>() = (moment - measures_.centroid * by.row(0)) / measures_.area;
+    by.middleRows<2>(3) = (moment - measures_.centroid * by.row(0)) / measures_.area;
+    const Eigen::Vector2d extent = measures_.high - measures_.low;
+    by.row(5) = (by.row(0) - measures_.area * (by.row(1) / extent.x() + by.row(2) / extent.y())) /
+                extent.prod();
     return by;
   }
 
@@ -242,9 +245,14 @@ ContactPatch::Covariance ContactPatch::CovarianceOf(
   return covariance;
 }
 
-Eigen::Matrix<double, ContactPatch::kResults, 1> ContactPatch::ChangeWith(
-    const Image<Eigen::Vector3d>& error_mm) const {
-  Eigen::Matrix<double, kResults, 1> change = Eigen::Matrix<double, kResults, 1>::Zero();
+ContactPatch::Results ContactPatch::results() const {
+  Results all;
+  all << area_mm2, length_mm, width_mm, centroid_mm, shape_factor;
+  return all;
+}
+
+ContactPatch::Results ContactPatch::ChangeWith(const Image<Eigen::Vector3d>& error_mm) const {
+  Results change = Results::Zero();
   for (const Influence& influence : influences) {
     change += influence.change * error_mm.data()[influence.place];
   }

@@ -48,25 +48,29 @@ struct ContactPatch {
   double perimeter_mm = 0, unseen_perimeter_mm = 0;
   bool complete() const { return unseen_perimeter_mm == 0; }
 
-  // What a point's error does to the results. Rows: area, length, width, centroid x and y; columns:
-  // the point's x, y, z. To first order: length and width hang on the outermost points alone, and
-  // are longer by about a sigma of these where the ends are blunt.
-  static constexpr int kResults = 5;
+  // Area, length, width, centroid x and y, shape factor; in units of mm.
+  static constexpr int kResults = 6;
+  using Results = Eigen::Matrix<double, kResults, 1>;
+  Results results() const;
+
+  // What a point's error does to the results; columns: the point's x, y, z. To first order: length
+  // and width hang on the outermost points alone, and are longer by about a sigma of these where
+  // the ends are blunt.
   struct Influence {
     std::size_t place = 0;  // row * columns + column
     Eigen::Matrix<double, kResults, 3> change;
   };
   std::vector<Influence> influences;  // by place
 
-  // Of area, length, width and centroid, in units of mm. cov_mm2: of a point. correlation: of the
-  // errors of two points, 1 for a point with itself.
+  // Of the results. cov_mm2: of a point. correlation: of the errors of two points, 1 for a point
+  // with itself.
   using Covariance = Eigen::Matrix<double, kResults, kResults>;
   Covariance CovarianceOf(
       const std::function<Eigen::Matrix3d(std::size_t place)>& cov_mm2,
       const std::function<double(std::size_t a, std::size_t b)>& correlation) const;
   // What a common error of all points does (one entry a point of the grid), as along one
   // calibration mode.
-  Eigen::Matrix<double, kResults, 1> ChangeWith(const Image<Eigen::Vector3d>& error_mm) const;
+  Results ChangeWith(const Image<Eigen::Vector3d>& error_mm) const;
 };
 
 // position_mm: points of a grid in the ground frame (z up); NaN where there is none. thickness_mm:

@@ -1,7 +1,9 @@
 #include "track/patch_series.h"
 
 #include <Eigen/Cholesky>
+#include <algorithm>
 #include <cmath>
+#include <functional>
 #include <limits>
 #include <stdexcept>
 
@@ -12,12 +14,6 @@ namespace plumbline {
 namespace {
 
 using Results = FramePatch::Results;
-
-Results ResultsOf(const ContactPatch& patch) {
-  Results results;
-  results << patch.area_mm2, patch.length_mm, patch.width_mm, patch.centroid_mm;
-  return results;
-}
 
 // A frame's images in a ground frame.
 struct InGround {
@@ -39,25 +35,82 @@ struct InGround {
   LiftOffFrame ForLiftOff() const { return {&position_mm, &undeformed_mm, thickness_mm}; }
 };
 
+// A way to a patch: its results, from a frame as it lies in a ground frame. Nothing where there is
+// none.
+using Way = std::function<std::optional<Results>(const InGround&)>;
+
+// What errors that are common to all points of a frame do to its results: another way of looking at
+// the same frame, less `results`. NaN where that has no patch.
+class CommonErrors {
+ public:
+  CommonErrors(const PatchFrame& frame, const WheelAxis& axis, const Results& results,
+               const Way& way)
+      : frame_(frame), axis_(axis), results_(results), way_(way) {}
+
+  // The variance that the ground's own pose brings, by a step along each axis of its covariance,
+  // and the pose of the cameras.
+  Results Random() const {
+    const RigRotationFrame& rotation = frame_.rotation;
+    const Eigen::Matrix3d root = Eigen::LLT<Eigen::Matrix3d>(rotation.cov_random).matrixL();
+    const Rigid3 back = GroundOf(rotation.pose, axis_).Inverse();
+    Results variance = Results::Zero();
+    for (int k = 0; k < 3; ++k) {
+      if (!root.col(k).allFinite() || root.col(k).isZero(0)) continue;
+      const Rigid3 change = GroundOf(rotation.pose + root.col(k), axis_) * back;
+      variance += SquareOf(InGround(frame_, change * rotation.ground.frame_from_rig));
+    }
+    for (const Image<Eigen::Vector3f>& along : frame_.along_pose_mm) {
+      variance += SquareOf(InGround(frame_, rotation.ground.frame_from_rig, &along));
+    }
+    return variance;
+  }
+
+  // The calibration's, along each mode points, ground and thickness together.
+  Results Calibration() const {
+    Results variance = Results::Zero();
+    const std::size_t modes = frame_.along_modes_mm.size();
+    for (std::size_t m = 0; m < modes; ++m) {
+      InGround along(frame_, frame_.rotation.ground.along_modes[m], &frame_.along_modes_mm[m]);
+      along.thickness_mm =
+          &ThicknessAlong(m, modes, frame_.thickness_mm, frame_.thickness_along_modes);
+      variance += SquareOf(along);
+    }
+    return variance;
+  }
+
+ private:
+  Results SquareOf(const InGround& there) const {
+    const std::optional<Results> results = way_(there);
+    if (!results) return Results::Constant(std::numeric_limits<double>::quiet_NaN());
+    return (*results - results_).cwiseAbs2();
+  }
+
+  const PatchFrame& frame_;
+  const WheelAxis& axis_;
+  const Results& results_;
+  const Way& way_;
+};
+
+Results RootOf(const Results& variance) { return variance.cwiseMax(0).cwiseSqrt(); }
+
 class PatchOfFrame {
  public:
-  PatchOfFrame(const PatchFrame& frame, const LiftOffLaw& law, const WheelAxis& axis,
-               const PatchSeriesOptions& options)
-      : frame_(frame), law_(law), axis_(axis), options_(options) {}
+  PatchOfFrame(const PatchFrame& frame, const WheelAxis& axis, const PatchSeriesOptions& options)
+      : frame_(frame),
+        axis_(axis),
+        options_(options),
+        ground_(frame, frame.rotation.ground.frame_from_rig) {}
 
   // By the law; sigmas and all. Says why not.
-  bool Find(FramePatch* record) const {
-    const InGround ground(frame_, frame_.rotation.ground.frame_from_rig);
-    const auto line = Line(ground, &record->problem);
+  bool FindByLaw(const LiftOffLaw& law, FramePatch* record) const {
+    const auto line = Line(ground_, law, &record->problem);
     if (!line) return false;
-    const auto patch = PatchWithin(ground.ForLiftOff(), *line);
+    const auto patch = PatchWithin(ground_.ForLiftOff(), *line);
     if (!patch) {
       record->problem = "no point is in contact by the law of lift-off";
       return false;
     }
-    record->by = FramePatch::By::kLiftOff;
     record->patch = *patch;
-    const Results results = ResultsOf(*patch);
 
     // d results / d a0..a4, by differences.
     Eigen::Matrix<double, ContactPatch::kResults, LiftOffLine::kTerms> J;
@@ -66,62 +119,121 @@ class PatchOfFrame {
       LiftOffLine more = *line, less = *line;
       more.a[k] += kStep_mm;
       less.a[k] -= kStep_mm;
-      const auto larger = PatchWithin(ground.ForLiftOff(), more);
-      const auto smaller = PatchWithin(ground.ForLiftOff(), less);
+      const auto larger = PatchWithin(ground_.ForLiftOff(), more);
+      const auto smaller = PatchWithin(ground_.ForLiftOff(), less);
       if (!larger || !smaller) return false;
-      J.col(k) = (ResultsOf(*larger) - ResultsOf(*smaller)) / (2 * kStep_mm);
+      J.col(k) = (larger->results() - smaller->results()) / (2 * kStep_mm);
     }
     const auto by_law = (J * line->d_a_d_law).eval();
-    const Results law = (by_law * law_.cov * by_law.transpose()).diagonal();
-    Results variance = (J * line->cov * J.transpose()).diagonal() + law;
-    variance += OfGround(results);
-    record->sigma_law = law.cwiseMax(0).cwiseSqrt();
-    record->sigma_random = variance.cwiseMax(0).cwiseSqrt();
-    Results common = Results::Zero();
-    const std::size_t modes = frame_.along_modes_mm.size();
-    for (std::size_t m = 0; m < modes; ++m) {
-      InGround along(frame_, frame_.rotation.ground.along_modes[m], &frame_.along_modes_mm[m]);
-      along.thickness_mm =
-          &ThicknessAlong(m, modes, frame_.thickness_mm, frame_.thickness_along_modes);
-      common += (Again(along).value_or(results) - results).cwiseAbs2();
-    }
-    record->sigma_calibration = common.cwiseSqrt();
+    const Results of_law = (by_law * law.cov * by_law.transpose()).diagonal();
+    record->by = FramePatch::By::kLiftOff;
+    record->sigma_law = RootOf(of_law);
+    AddCommon(
+        (J * line->cov * J.transpose()).diagonal() + of_law,
+        [&](const InGround& there) -> std::optional<Results> {
+          const auto again = Line(there, law);
+          // A law that is held may not bear the error of a thickness: not counted.
+          if (!again) return patch->results();
+          return ResultsOf(PatchWithin(there.ForLiftOff(), *again)).value_or(patch->results());
+        },
+        record);
     return true;
   }
 
+  // Within the threshold, sigmas and all, where there is such a patch.
+  void FindWithinThreshold(const NeighbourCorrelation& neighbours, FramePatch* record) const {
+    if (!record->within_threshold) return;
+    record->by = FramePatch::By::kThreshold;
+    record->patch = *record->within_threshold;
+    record->sigma_law.setZero();
+    AddCommon(
+        OfPoints(record->patch, neighbours),
+        [&](const InGround& there) { return ResultsOf(WithinThreshold(there)); }, record);
+  }
+
+  std::optional<ContactPatch> WithinThreshold(std::string* why) const {
+    return WithinThreshold(ground_, why);
+  }
+
  private:
-  std::optional<LiftOffLine> Line(const InGround& ground, std::string* why = nullptr) const {
-    return FindLiftOffLine(ground.ForLiftOff(), law_, options_.sigma_mm,
+  static std::optional<Results> ResultsOf(const std::optional<ContactPatch>& patch) {
+    if (!patch) return std::nullopt;
+    return patch->results();
+  }
+
+  std::optional<ContactPatch> WithinThreshold(const InGround& ground,
+                                              std::string* why = nullptr) const {
+    return FindContactPatch(ground.position_mm, *ground.thickness_mm, options_.threshold, why);
+  }
+
+  std::optional<LiftOffLine> Line(const InGround& ground, const LiftOffLaw& law,
+                                  std::string* why = nullptr) const {
+    return FindLiftOffLine(ground.ForLiftOff(), law, options_.sigma_mm,
                            options_.correlation_area_points, options_.lift_off, why);
   }
 
-  std::optional<Results> Again(const InGround& ground) const {
-    const auto line = Line(ground);
-    if (!line) return std::nullopt;
-    const auto patch = PatchWithin(ground.ForLiftOff(), *line);
-    if (!patch) return std::nullopt;
-    return ResultsOf(*patch);
+  void AddCommon(const Results& variance, const Way& way, FramePatch* record) const {
+    const Results results = record->patch.results();
+    const CommonErrors common(frame_, axis_, results, way);
+    record->sigma_random = RootOf(variance + common.Random());
+    record->sigma_calibration = RootOf(common.Calibration());
   }
 
-  // The variance that the ground's own pose brings, by a step along each axis of its covariance.
-  Results OfGround(const Results& results) const {
-    const RigRotationFrame& rotation = frame_.rotation;
-    const Eigen::Matrix3d root = Eigen::LLT<Eigen::Matrix3d>(rotation.cov_random).matrixL();
-    const Rigid3 back = GroundOf(rotation.pose, axis_).Inverse();
-    Results variance = Results::Zero();
-    for (int k = 0; k < 3; ++k) {
-      if (!root.col(k).allFinite()) continue;
-      const Rigid3 change = GroundOf(rotation.pose + root.col(k), axis_) * back;
-      const InGround moved(frame_, change * rotation.ground.frame_from_rig);
-      variance += (Again(moved).value_or(results) - results).cwiseAbs2();
+  // The variance that the noise of single points brings, and the square of what it adds to the
+  // length of blunt ends.
+  Results OfPoints(const ContactPatch& patch, const NeighbourCorrelation& neighbours) const {
+    const Eigen::Matrix3d turn = frame_.rotation.ground.frame_from_rig.rotation;
+    const auto columns = static_cast<std::size_t>(frame_.point_mm.width());
+    const auto row = [&](std::size_t place) { return static_cast<int>(place / columns); };
+    const auto column = [&](std::size_t place) { return static_cast<int>(place % columns); };
+    Results variance =
+        patch
+            .CovarianceOf(
+                [&](std::size_t place) {
+                  return Eigen::Matrix3d(turn * frame_.cov_mm2.data()[place] * turn.transpose());
+                },
+                [&](std::size_t a, std::size_t b) -> double {
+                  const int dr = row(b) - row(a), dc = column(b) - column(a);
+                  if (std::max(std::abs(dr), std::abs(dc)) > neighbours.reach()) return 0;
+                  return neighbours.Between(row(a), column(a), dr, dc).trace() / 2;
+                })
+            .diagonal();
+    for (const int axis : {0, 1}) {
+      const double more = BluntEnds(patch, axis, variance[1 + axis]);
+      const double extent_mm = axis == 0 ? patch.length_mm : patch.width_mm;
+      variance[1 + axis] += more;
+      variance[5] += std::pow(patch.shape_factor / extent_mm, 2) * more;
     }
     return variance;
   }
 
+  // The outermost of m corners with independent noise s is off by s^2 (1 + 0.31 ln(m)^2) in the
+  // mean square (normal, m from 3 to 20, within 5 %). variance: of the extent, from both ends.
+  // Returns what is to be added.
+  double BluntEnds(const ContactPatch& patch, int axis, double variance) const {
+    const double sigma_mm = std::sqrt(variance / 2);
+    double low = std::numeric_limits<double>::max(), high = -low;
+    for (const Polygon& contour : patch.contours_mm) {
+      for (const Eigen::Vector2d& corner : contour) {
+        low = std::min(low, corner[axis]);
+        high = std::max(high, corner[axis]);
+      }
+    }
+    double at_low = 0, at_high = 0;
+    for (const Polygon& contour : patch.contours_mm) {
+      for (const Eigen::Vector2d& corner : contour) {
+        if (corner[axis] < low + 3 * sigma_mm) ++at_low;
+        if (corner[axis] > high - 3 * sigma_mm) ++at_high;
+      }
+    }
+    const auto of = [](double corners) { return 0.31 * std::pow(std::log(corners), 2); };
+    return (of(at_low) + of(at_high)) * variance / 2;
+  }
+
   const PatchFrame& frame_;
-  const LiftOffLaw& law_;
   const WheelAxis& axis_;
   const PatchSeriesOptions& options_;
+  InGround ground_;
 };
 
 std::optional<LiftOffLaw> LawOf(std::span<const PatchFrame> frames,
@@ -160,7 +272,7 @@ bool Holds(FramePatch* record) {
 Results LikelyModelErrors(const Results& results) {
   Results likely;
   likely << 0.008 * results[0], 0.0035 * results[1], 0.0035 * results[2],
-      0.0005 * results[1] * Eigen::Vector2d::Ones();
+      0.0005 * results[1] * Eigen::Vector2d::Ones(), 0.0035 * results[5];
   return likely;
 }
 
@@ -182,8 +294,8 @@ void AddModelErrors(std::span<const PatchFrame> frames, const WheelAxis& axis,
     const FramePatch& record = series->frames[f];
     if (record.by != FramePatch::By::kLiftOff) continue;
     FramePatch again;
-    if (!PatchOfFrame(frames[f], *law, axis, options).Find(&again)) continue;
-    sum += ResultsOf(again.patch) - ResultsOf(record.patch);
+    if (!PatchOfFrame(frames[f], axis, options).FindByLaw(*law, &again)) continue;
+    sum += again.patch.results() - record.patch.results();
     noise += again.sigma_law.cwiseAbs2() - record.sigma_law.cwiseAbs2();
     ++count;
   }
@@ -193,7 +305,7 @@ void AddModelErrors(std::span<const PatchFrame> frames, const WheelAxis& axis,
   for (FramePatch& record : series->frames) {
     if (record.by != FramePatch::By::kLiftOff) continue;
     // The mean square of the error, given what is told of it and what was likely.
-    const Results likely = LikelyModelErrors(ResultsOf(record.patch)).cwiseAbs2();
+    const Results likely = LikelyModelErrors(record.patch.results()).cwiseAbs2();
     const Results share = likely.cwiseQuotient(likely + variance);
     const Results model = share.cwiseProduct(told).cwiseAbs2() + share.cwiseProduct(variance);
     record.sigma_law = (record.sigma_law.cwiseAbs2() + model).cwiseSqrt();
@@ -213,7 +325,7 @@ void PatchSeriesOptions::Check() const {
 }
 
 PatchSeries FindPatches(std::span<const PatchFrame> frames, const WheelAxis& axis,
-                        const PatchSeriesOptions& options) {
+                        const NeighbourCorrelation& neighbours, const PatchSeriesOptions& options) {
   options.Check();
   for (const PatchFrame& frame : frames) {
     if (!frame.along_modes_mm.empty() && frame.rotation.found &&
@@ -230,23 +342,13 @@ PatchSeries FindPatches(std::span<const PatchFrame> frames, const WheelAxis& axi
       record.problem = frame.rotation.problem;
       continue;
     }
-    const InGround ground(frame, frame.rotation.ground.frame_from_rig);
+    const PatchOfFrame patch(frame, axis, options);
     std::string why;
-    record.within_threshold =
-        FindContactPatch(ground.position_mm, frame.thickness_mm, options.threshold, &why);
+    record.within_threshold = patch.WithinThreshold(&why);
     record.problem = no_law;
-    if (series.law && PatchOfFrame(frame, *series.law, axis, options).Find(&record) &&
-        Holds(&record)) {
-      continue;
-    }
-    if (!record.within_threshold) {
-      record.problem = why;
-      continue;
-    }
-    record.by = FramePatch::By::kThreshold;
-    record.patch = *record.within_threshold;
-    record.sigma_random.setConstant(std::numeric_limits<double>::quiet_NaN());
-    record.sigma_calibration = record.sigma_law = record.sigma_random;
+    if (series.law && patch.FindByLaw(*series.law, &record) && Holds(&record)) continue;
+    if (!record.within_threshold) record.problem = why;
+    patch.FindWithinThreshold(neighbours, &record);
   }
   if (series.law && !options.law) AddModelErrors(frames, axis, options, &series);
   return series;

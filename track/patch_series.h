@@ -9,6 +9,7 @@
 #include "calib/image.h"
 #include "fit/contact_patch.h"
 #include "fit/lift_off.h"
+#include "match/neighbour_correlation.h"
 #include "track/rig_rotation.h"
 
 namespace plumbline {
@@ -22,6 +23,7 @@ struct PatchFrame {
   Image<Eigen::Vector3d> point_mm;       // inner surface, rig frame; NaN where there is none
   Image<Eigen::Vector3d> undeformed_mm;  // of the same material at the same wheel angle, rig frame
   Image<double> thickness_mm;            // of the carcass (ThicknessOver)
+  Image<Eigen::Matrix3d> cov_mm2;        // of the points, from noise
   // What each calibration mode does to the points, rig frame; it is taken to do the same to their
   // undeformed places. As many as rotation.ground.along_modes, or none.
   std::vector<Image<Eigen::Vector3f>> along_modes_mm;
@@ -29,6 +31,9 @@ struct PatchFrame {
   // The thickness along the last ones of the modes, which are the carcass's; along the others it is
   // what it is.
   std::vector<Image<double>> thickness_along_modes = {};
+  // What one sigma of each direction of the frame's own pose of the cameras does to the points and,
+  // as it is taken, to their undeformed places: random.
+  std::vector<Image<Eigen::Vector3f>> along_pose_mm = {};
 };
 
 struct PatchSeriesOptions {
@@ -47,10 +52,11 @@ struct FramePatch {
   By by = By::kNothing;
   std::string problem;  // kNothing, kThreshold: why
   ContactPatch patch;   // of kLiftOff, d_area_d_threshold_mm counts mm of undeformed depth
-  // Area, length, width, centroid x and y, as in ContactPatch::kResults; mm and mm^2. From noise
-  // (the points', the law's, the ground's) and from the calibration. NaN by the threshold: there
-  // ContactPatch::CovarianceOf tells.
-  using Results = Eigen::Matrix<double, ContactPatch::kResults, 1>;
+  // Of ContactPatch::results(). From noise (the points', the law's, the ground's, that of the
+  // frame's pose of the cameras) and from the calibration. By the threshold NaN where an error of
+  // one sigma leaves no patch; by the law such an error is not counted. By the threshold, of what
+  // lies within the threshold: how much more than what touches that is, no sigma tells.
+  using Results = ContactPatch::Results;
   Results sigma_random = Results::Zero(), sigma_calibration = Results::Zero();
   // The part of sigma_random that is the law's, and so common to all frames: from noise, and what
   // it leaves out, told by fitting it up to half the gap (where it is not given).
@@ -64,11 +70,13 @@ struct PatchSeries {
   std::vector<FramePatch> frames;
 };
 
-// axis: of the wheel, rig frame. Frames whose rotation was not found have no patch. The errors of
-// the ground are taken as independent of those of the points at the boundary.
+// axis: of the wheel, rig frame. neighbours: how the noise of points of the grid goes together.
+// Frames whose rotation was not found have no patch. The errors of the ground are taken as
+// independent of those of the points at the boundary.
 // Throws UsageError from the options, std::invalid_argument where sizes or numbers differ.
 // Accuracy: tests/track/patch_series_test.cc.
 [[nodiscard]] PatchSeries FindPatches(std::span<const PatchFrame> frames, const WheelAxis& axis,
+                                      const NeighbourCorrelation& neighbours,
                                       const PatchSeriesOptions& options = {});
 
 }  // namespace plumbline

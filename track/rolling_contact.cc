@@ -289,14 +289,19 @@ void ContactOfRun::FindPatchesOf(RollingContact* contact) const {
     if (!Placed(f)) continue;
     FramePoints points = PointsOf(f);
     sigmas.push_back(SigmaOf(points));
-    frames.push_back({std::move(points.now.point_mm), std::move(points.undeformed.point_mm),
-                      std::move(points.thickness_mm), std::move(points.now.along_modes_mm),
-                      contact->frames[f].rotation, std::move(points.thickness_along_modes)});
+    frames.push_back({.point_mm = std::move(points.now.point_mm),
+                      .undeformed_mm = std::move(points.undeformed.point_mm),
+                      .thickness_mm = std::move(points.thickness_mm),
+                      .cov_mm2 = std::move(points.cov_mm2),
+                      .along_modes_mm = std::move(points.now.along_modes_mm),
+                      .rotation = contact->frames[f].rotation,
+                      .thickness_along_modes = std::move(points.thickness_along_modes),
+                      .along_pose_mm = std::move(points.along_pose_mm)});
     places.push_back(f);
   }
   if (frames.empty()) return;
   options.sigma_mm = Median(std::move(sigmas));
-  PatchSeries series = FindPatches(frames, reference_.axis, options);
+  PatchSeries series = FindPatches(frames, reference_.axis, neighbours_, options);
   contact->law = series.law;
   for (std::size_t i = 0; i < places.size(); ++i) {
     contact->frames[places[i]].patch = std::move(series.frames[i]);

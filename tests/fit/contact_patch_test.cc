@@ -111,12 +111,6 @@ TEST(ContactPatch, IsNotThereWithoutContact) {
   EXPECT_THROW(FindContactPatch(points, Image<double>({2, 2})), std::invalid_argument);
 }
 
-Eigen::Matrix<double, ContactPatch::kResults, 1> Results(const ContactPatch& patch) {
-  Eigen::Matrix<double, ContactPatch::kResults, 1> results;
-  results << patch.area_mm2, patch.length_mm, patch.width_mm, patch.centroid_mm;
-  return results;
-}
-
 TEST(ContactPatch, InfluencesAreTheDerivatives) {
   for (const double mirrored : {1.0, -1.0}) {
     Grid grid;
@@ -131,7 +125,7 @@ TEST(ContactPatch, InfluencesAreTheDerivatives) {
         Points more = points, less = points;
         more.data()[influence.place][axis] += kStep_mm;
         less.data()[influence.place][axis] -= kStep_mm;
-        const auto slope = ((Results(Find(more)) - Results(Find(less))) / (2 * kStep_mm)).eval();
+        const auto slope = ((Find(more).results() - Find(less).results()) / (2 * kStep_mm)).eval();
         EXPECT_LT((slope - influence.change.col(axis)).cwiseAbs().maxCoeff(), 1e-4)
             << influence.place << " along " << axis << ": " << slope.transpose();
       }
@@ -181,7 +175,7 @@ TEST(ContactPatch, CovarianceIsThatOfSampling) {
         before = next;
       }
     }
-    drawn.col(draw) = Results(Find(noisy));
+    drawn.col(draw) = Find(noisy).results();
   }
   const auto centred = (drawn.colwise() - drawn.rowwise().mean()).eval();
   const ContactPatch::Covariance sampled = centred * centred.transpose() / (kDraws - 1);
