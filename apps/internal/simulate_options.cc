@@ -179,6 +179,11 @@ void SimulateOptions::DeclareTyre(OptionTable& options) {
   options.Add(
       {.name = "slip-angle", .help = "slip angle, ISO 8855", .unit = "deg", .min = -7, .max = 7},
       &slip_angle_deg_);
+  options.Add({.name = "tags",
+               .help = "AprilTags evenly around the inner surface, at 40 mm to both sides of its "
+                       "middle in turn, as 36h11:12:24mm; empty: none",
+               .unit = "FAMILY:COUNT:SIZE"},
+              &tags_);
   options.Add({.name = "mounting",
                .help = "how the rig is turned against looking straight down: rotation vector in "
                        "the ground's axes; empty: the scenario's",
@@ -334,10 +339,10 @@ void SimulateOptions::ApplyToTyre(Scenario& scenario) const {
   auto* tyre = std::get_if<TyreOptions>(&scenario.surface);
   if (tyre == nullptr) {
     if (speed_m_s_ || speed_swing_m_s_ || start_mm_ || slip_ratio_ || slip_angle_deg_ ||
-        flexure_deg_ || vehicle_pitch_ != "auto") {
+        flexure_deg_ || vehicle_pitch_ != "auto" || !tags_.empty()) {
       throw UsageError(fmt::format(
           "There is no tyre in the scenario '{}': leave out --speed, --speed-swing, --start, "
-          "--slip-ratio, --slip-angle, --flexure and --vehicle-pitch.",
+          "--slip-ratio, --slip-angle, --flexure, --vehicle-pitch and --tags.",
           scenario.name));
     }
     return;
@@ -347,6 +352,7 @@ void SimulateOptions::ApplyToTyre(Scenario& scenario) const {
   Set(start_mm_, tyre->start_travel_mm);
   Set(slip_ratio_, tyre->slip_ratio);
   Set(slip_angle_deg_, tyre->slip_angle_rad, kDegree);
+  if (!tags_.empty()) scenario.tags = WheelTagOptions::Parse(tags_);
   Set(flexure_deg_, scenario.motion.flexure_rad_per_m_s2, kDegree);
   if (vehicle_pitch_ != "auto") {
     scenario.motion.wheelbase_mm = vehicle_pitch_ == "on" ? kWheelbase_mm : 0;

@@ -47,7 +47,7 @@ class SimulateOptions {
 
   std::optional<double> speed_m_s_, speed_swing_m_s_, slip_ratio_, slip_angle_deg_, start_mm_;
   std::optional<double> flexure_deg_, vibration_deg_;
-  std::string mounting_deg_, vehicle_pitch_ = "auto";
+  std::string mounting_deg_, vehicle_pitch_ = "auto", tags_;
   double channel_rate_hz_ = 200, channel_offset_s_ = 0.237;
 
   int calibration_pairs_ = 0;

@@ -1,21 +1,14 @@
 #pragma once
 
-#include <Eigen/Core>
-#include <array>
 #include <opencv2/core.hpp>
 #include <string>
 #include <vector>
 
+#include "calib/detect_tags.h"
+
 namespace plumbline::internal {
 
-// One square tag in a photograph.
-struct Tag {
-  int id = 0;
-  // Of the black border, in the upright tag: bottom left, bottom right, top right, top left.
-  // (0, 0) is the centre of the top-left pixel: half a pixel less than the apriltag library says.
-  std::array<Eigen::Vector2d, 4> corners;
-  int wrong_bits = 0;  // corrected ones
-};
+using Tag = DetectedTag;
 
 // AprilTags by the AprilRobotics library in a CV_8UC1 image, sorted by id. `family` is its name for
 // it (tag36h11, tag36h10, tag25h9, tag16h5); `border_bits` the width of the black border: 1 as

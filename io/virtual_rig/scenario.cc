@@ -175,6 +175,7 @@ Scenario Make(const Listed& listed, const StereoRig& rig, double distance_mm) {
              .ground_from_rig = MakeRigPose(rig, distance_mm),
              .surface = SpecimenOptions(),
              .speckle = {},
+             .tags = {},
              .motion = {},
              .lighting = {},
              .sensor = {},
@@ -277,6 +278,7 @@ void Scenario::Check() const {
     }
   } else {
     std::get<SpecimenOptions>(surface).Check();
+    if (tags) throw UsageError("Tags are painted on a tyre, not on a specimen.");
   }
 }
 

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstdint>
+#include <optional>
 #include <string>
 #include <variant>
 #include <vector>
@@ -12,6 +13,7 @@
 #include "io/virtual_rig/sensor.h"
 #include "io/virtual_rig/specimen_surfaces.h"
 #include "io/virtual_rig/speckle.h"
+#include "io/virtual_rig/tag_albedo.h"
 #include "io/virtual_rig/tyre_surface.h"
 
 namespace plumbline {
@@ -44,6 +46,7 @@ struct Scenario {
   Rigid3 ground_from_rig;
   std::variant<SpecimenOptions, TyreOptions> surface;
   SpeckleOptions speckle;
+  std::optional<WheelTagOptions> tags;  // on a tyre, over the speckle
   RigMotionOptions motion;
   LightingOptions lighting;
   SensorOptions sensor;

@@ -27,6 +27,12 @@ std::unique_ptr<const MaterialSurface> MakeSurface(const Scenario& scenario) {
   return MakeSpecimen(std::get<SpecimenOptions>(scenario.surface));
 }
 
+std::unique_ptr<const Albedo> MakeAlbedo(const Scenario& scenario, const MaterialDomain& domain) {
+  auto speckle = MakeSpeckle(domain, scenario.speckle);
+  if (!scenario.tags) return speckle;
+  return MakeTaggedAlbedo(std::move(speckle), domain, *scenario.tags);
+}
+
 Scenario Checked(Scenario scenario) {
   scenario.Check();
   return scenario;
@@ -39,12 +45,12 @@ struct VirtualRig::Impl {
       : scenario(Checked(std::move(s))),
         surface(MakeSurface(scenario)),
         tyre(dynamic_cast<const TyreSurface*>(surface.get())),
-        speckle(MakeSpeckle(surface->Domain(), scenario.speckle)) {}
+        albedo(MakeAlbedo(scenario, surface->Domain())) {}
 
   Scenario scenario;
   std::unique_ptr<const MaterialSurface> surface;
   const TyreSurface* tyre;
-  std::unique_ptr<const Albedo> speckle;
+  std::unique_ptr<const Albedo> albedo;
 };
 
 namespace {
@@ -177,7 +183,7 @@ Image<float> VirtualRig::MeanImage(int frame, Side side) const {
   Exposure exposure{opening.get(), opening.get(), camera_from_ground(middle_s - s.exposure_s / 2),
                     camera_from_ground(middle_s + s.exposure_s / 2)};
   if (s.exposure_s > 0) exposure.closing = closing.get();
-  return Render(camera, exposure, *impl_->speckle, light, s.render);
+  return Render(camera, exposure, *impl_->albedo, light, s.render);
 }
 
 GrayImage VirtualRig::TakeImage(int frame, Side side) const {

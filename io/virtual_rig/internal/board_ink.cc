@@ -54,12 +54,12 @@ cv::Ptr<cv::aruco::Dictionary> DictionaryOf(const BoardSpec& spec) {
 
 using TagFamily = std::unique_ptr<apriltag_family_t, void (*)(apriltag_family_t*)>;
 
-TagFamily FamilyOf(const BoardSpec& spec) {
-  if (spec.dictionary == "tag36h11") return {tag36h11_create(), tag36h11_destroy};
-  if (spec.dictionary == "tag36h10") return {tag36h10_create(), tag36h10_destroy};
-  if (spec.dictionary == "tag25h9") return {tag25h9_create(), tag25h9_destroy};
-  if (spec.dictionary == "tag16h5") return {tag16h5_create(), tag16h5_destroy};
-  throw std::invalid_argument("MakeBoardAlbedo: no tag family " + spec.dictionary);
+TagFamily FamilyOf(const std::string& name) {
+  if (name == "tag36h11") return {tag36h11_create(), tag36h11_destroy};
+  if (name == "tag36h10") return {tag36h10_create(), tag36h10_destroy};
+  if (name == "tag25h9") return {tag25h9_create(), tag25h9_destroy};
+  if (name == "tag16h5") return {tag16h5_create(), tag16h5_destroy};
+  throw std::invalid_argument("MakeBoardAlbedo: no tag family " + name);
 }
 
 // What Kalibr adds to the border of one module that the families are published with.
@@ -111,17 +111,20 @@ std::vector<int> MarkerOfSquare(const BoardSpec& spec) {
   return markers;
 }
 
-MarkerBits KalibrTagBits(const BoardSpec& spec) {
-  const TagFamily family = FamilyOf(spec);
+int TagsOfFamily(const std::string& family) { return static_cast<int>(FamilyOf(family)->ncodes); }
+
+MarkerBits TagBits(const std::string& family_name, int count, int border_modules) {
+  const TagFamily family = FamilyOf(family_name);
+  const int wider = border_modules - 1;
   MarkerBits bits;
-  bits.size = family->width_at_border + 2 * kWider;
-  const int count = spec.columns * spec.rows, area = bits.size * bits.size;
+  bits.size = family->width_at_border + 2 * wider;
+  const int area = bits.size * bits.size;
   bits.white.assign(static_cast<std::size_t>(count * area), 0);
   for (int tag = 0; tag < count; ++tag) {
     const std::uint64_t code = family->codes[tag];
     for (std::uint32_t i = 0; i < family->nbits; ++i) {
-      const int column = static_cast<int>(family->bit_x[i]) + kWider;
-      const int row = static_cast<int>(family->bit_y[i]) + kWider;
+      const int column = static_cast<int>(family->bit_x[i]) + wider;
+      const int row = static_cast<int>(family->bit_y[i]) + wider;
       const auto place = static_cast<std::size_t>(tag * area + row * bits.size + column);
       bits.white[place] = (code >> (family->nbits - 1 - i)) & 1U;  // the first bit is the highest
     }
@@ -129,9 +132,13 @@ MarkerBits KalibrTagBits(const BoardSpec& spec) {
   return bits;
 }
 
+MarkerBits KalibrTagBits(const BoardSpec& spec) {
+  return TagBits(spec.dictionary, spec.columns * spec.rows, 1 + kWider);
+}
+
 int ModulesPerSide(const BoardSpec& spec) {
   if (spec.kind == BoardSpec::Kind::kAprilGrid) {
-    return FamilyOf(spec)->width_at_border + 2 * kWider;
+    return FamilyOf(spec.dictionary)->width_at_border + 2 * kWider;
   }
   return DictionaryOf(spec)->markerSize + 2;
 }

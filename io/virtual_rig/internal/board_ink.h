@@ -3,6 +3,7 @@
 #include <Eigen/Core>
 #include <cmath>
 #include <cstdint>
+#include <string>
 #include <vector>
 
 #include "calib/board.h"
@@ -67,6 +68,11 @@ MarkerBits ArucoBits(const BoardSpec& spec);
 
 // Which marker is in which square (row by row); -1 in the black ones.
 std::vector<int> MarkerOfSquare(const BoardSpec& spec);
+
+// The first tags of an AprilTag family, and how many it has. The family as the apriltag library
+// calls it.
+MarkerBits TagBits(const std::string& family, int count, int border_modules);
+int TagsOfFamily(const std::string& family);
 
 // Black borders two modules wide, as Kalibr prints them.
 MarkerBits KalibrTagBits(const BoardSpec& spec);
