@@ -10,6 +10,7 @@
 #include <utility>
 
 #include "apps/internal/rolling_records.h"
+#include "apps/internal/tag_records.h"
 #include "apps/internal/wheel_lean.h"
 #include "apps/internal/wheel_motion.h"
 #include "calib/error.h"
@@ -153,11 +154,16 @@ std::vector<std::string> RollingRun::Notes() const {
         "the others alone.",
         outliers));
   }
+  for (std::string& note : internal::TagNotes(impl_->reference, rolling)) {
+    notes.push_back(std::move(note));
+  }
   constexpr double kDegree = std::numbers::pi / 180;
   notes.push_back(fmt::format(
       "All wheel angles together may be off by {:.2g} degrees, and displacements around the wheel "
-      "with them: what shears the tyre all over the view cannot be told from a turn.",
-      rolling.sigma_common_rad / kDegree));
+      "with them{}.",
+      rolling.sigma_common_rad / kDegree,
+      rolling.twist.known ? ""
+                          : ": what shears the tyre all over the view cannot be told from a turn"));
   if (impl_->lean) notes.push_back(internal::TextOf(*impl_->lean));
   if (impl_->contact && !impl_->contact->found) {
     notes.push_back("The ground is in no frame: " + impl_->contact->problem);
@@ -191,7 +197,7 @@ SeriesHeader RollingRun::Header() {
   });
   SeriesHeader header = impl.Prepare(placed->view).evaluation->Header();
   header.contents.velocity = header.contents.rigid_motion = false;
-  header.contents.wheel = header.contents.material = true;
+  header.contents.wheel = header.contents.material = header.contents.placement = true;
   if (impl.contact) {
     header.contents.patch = header.contents.slip = true;
     header.contents.rig_rotation = header.contents.deformation = true;
@@ -303,6 +309,8 @@ StereoRunFrame RollingRun::Measure(const StereoFrame& pair, std::int64_t positio
   }
   if (!out.frame.wheel.found) out.frame.wheel.problem = out.frame.problem;
   impl_->AddLean(at, &out.frame);
+  out.frame.placement = internal::PlacementRecordOf(impl_->rolling, at);
+  if (!out.frame.placement.found) out.frame.placement.problem = out.frame.problem;
   impl_->AddContact(at, &out.frame);
   out.frame.index = pair.index;
   out.frame.time_s = pair.time_s;

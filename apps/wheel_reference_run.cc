@@ -81,6 +81,9 @@ std::vector<std::string> NotesOf(const WheelReference& wheel) {
 void WheelReferenceRunOptions::Check() const {
   chain.Check();
   adjustment.Check();
+  if (tag_family.empty() && !rim_tags.empty()) {
+    throw UsageError("Tags on the rim are tags: name their family with --tags.");
+  }
 }
 
 WheelReferenceRun MeasureWheelReference(const StereoRig& rig,
@@ -109,9 +112,13 @@ WheelReferenceRun MeasureWheelReference(const StereoRig& rig,
   if (frames.empty()) throw InputError("There are no frames to measure.");
   WheelTracks tracks(rig, builder.Finish(), options.chain, wanted);
   std::vector<WheelFrameMatches> matches(frames.size());
+  std::vector<TagSighting> sightings;
   const auto follow = [&](const StereoFrame& pair, std::int64_t at) {
     if (!pair.problem.empty() || at >= static_cast<std::int64_t>(frames.size())) return;
     matches[static_cast<std::size_t>(at)] = tracks.Add(static_cast<int>(at), pair.left, pair.right);
+    if (options.tag_family.empty()) return;
+    sightings.push_back({static_cast<std::size_t>(at),
+                         FindStereoTags(rig, pair.left, pair.right, options.tag_family)});
   };
   if (!ForEachFrame(open, "following points", progress, follow)) return run;
   const WheelAdjustment adjusted = AdjustWheel(rig, tracks.Problem(), options.adjustment);
@@ -123,6 +130,12 @@ WheelReferenceRun MeasureWheelReference(const StereoRig& rig,
     if (frames[f].status == WheelFrameStatus::kUnreadable) frame.status = frames[f].status;
   }
   run.notes = NotesOf(*run.wheel);
+  if (!options.tag_family.empty()) {
+    WheelTagsFound found =
+        MakeWheelTags(*run.wheel, options.tag_family, options.rim_tags, sightings);
+    run.wheel->tags = std::move(found.tags);
+    run.notes.insert(run.notes.end(), found.problems.begin(), found.problems.end());
+  }
   if (!adjusted.converged) {
     run.notes.push_back("the adjustment did not settle, so that its sigmas may be too small");
   }

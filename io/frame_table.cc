@@ -180,6 +180,17 @@ void AddRigWatch(Columns& columns) {
                 [](const SeriesFrame& frame) { return frame.rig_watch.alarm ? 1.0 : 0.0; });
 }
 
+void AddPlacement(Columns& columns) {
+  using P = PlacementRecord;
+  columns.Plain("placed_by", [](const SeriesFrame& frame) { return frame.placement.placed_by; });
+  columns.Plain("tags", [](const SeriesFrame& frame) { return frame.placement.tags; });
+  columns.Plain("rim_tags", [](const SeriesFrame& frame) { return frame.placement.rim_tags; });
+  columns.Plain("unknown_tags",
+                [](const SeriesFrame& frame) { return frame.placement.unknown_tags; });
+  columns.Measured("carcass_twist_deg", &SeriesFrame::placement, &P::twist_rad,
+                   &P::sigma_random_twist_rad, &P::sigma_calibration_twist_rad, kDegrees);
+}
+
 Columns ColumnsOf(const SeriesContents& contents) {
   Columns columns;
   AddGround(columns);
@@ -192,6 +203,7 @@ Columns ColumnsOf(const SeriesContents& contents) {
   if (contents.slip) AddSlip(columns);
   if (contents.rig_rotation) AddRigRotation(columns);
   if (contents.deformation) AddDeformation(columns);
+  if (contents.placement) AddPlacement(columns);
   if (contents.rigid_motion) AddRigidMotion(columns);
   if (contents.rig_watch) AddRigWatch(columns);
   return columns;

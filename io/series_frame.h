@@ -42,6 +42,7 @@ struct SeriesContents {
   bool material = false;        // /material
   bool strain_windows = false;  // a gauge at each point: /strain/window_points, the model's errors
   bool wheel_channel = false;   // /wheel_channel
+  bool placement = false;       // /placement
 
   friend bool operator==(const SeriesContents&, const SeriesContents&) = default;
 };
@@ -240,6 +241,7 @@ struct SeriesFrame {
   DeformationRecord deformation;
   WheelChannelRecord wheel_channel;
   MaterialField material;
+  PlacementRecord placement;
 };
 
 }  // namespace plumbline

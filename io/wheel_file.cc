@@ -10,6 +10,7 @@
 #include "io/internal/durable_file.h"
 #include "io/internal/hdf5.h"
 #include "io/internal/rig_group.h"
+#include "io/internal/wheel_tags_group.h"
 
 namespace plumbline {
 namespace fs = std::filesystem;
@@ -418,6 +419,7 @@ void WriteWheelFile(const fs::path& path, const WheelReference& wheel,
       WriteFrames(out, file.get(), wheel);
       WriteProfile(out, file.get(), wheel.profile);
       WriteViews(out, file.get(), wheel);
+      internal::WriteWheelTags(file.get(), wheel.tags, wheel.rig.modes.count());
       file.Close("closing the file");
     });
   } catch (const hdf5::Error& error) {
@@ -457,6 +459,7 @@ WheelReference ReadWheelFile(const fs::path& path) {
     ReadFrames(file.get(), wheel);
     ReadProfile(file.get(), wheel.profile);
     ReadViews(file.get(), wheel);
+    wheel.tags = internal::ReadWheelTags(file.get(), wheel.rig.modes.count());
     return wheel;
   } catch (const hdf5::Error& error) {
     throw refuse(error.what());

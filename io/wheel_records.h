@@ -45,6 +45,23 @@ struct WheelChannelRecord {
   double lean = std::numeric_limits<double>::quiet_NaN();
 };
 
+// How a frame was found on the wheel, as /placement holds it. Where it was found, placed_by is a
+// number: 1, followed from the frames before; 2, by its tags; 3, by its features. The carcass's
+// twist is of the whole run, the same in all frames.
+struct PlacementRecord {
+  bool found = false;
+  std::string problem;  // why not
+  double placed_by = kNotMeasured;
+  double tags = kNotMeasured;  // of the wheel, in both images; those on the rim among them
+  double rim_tags = kNotMeasured;
+  double unknown_tags = kNotMeasured;   // that the wheel's reference does not have
+  double tag_angle_rad = kNotMeasured;  // of the wheel by its tags, 0 to 2 pi
+  double twist_rad = kNotMeasured;      // of the surface against the rim
+  double sigma_random_twist_rad = kNotMeasured, sigma_calibration_twist_rad = kNotMeasured;
+
+  static constexpr double kNotMeasured = std::numeric_limits<double>::quiet_NaN();
+};
+
 // The contact patch of one frame, as /patch holds it: length along x of the ground frame (the
 // direction of travel), width along y. Where it was found, the area is a number.
 struct PatchRecord {

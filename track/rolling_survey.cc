@@ -15,6 +15,8 @@
 #include "track/internal/axis_along_modes.h"
 #include "track/internal/frame_rig.h"
 #include "track/internal/surface_memory.h"
+#include "track/internal/survey_grid.h"
+#include "track/internal/survey_tags.h"
 #include "track/internal/view_material.h"
 #include "track/rolling_starts.h"
 #include "track/surface_motion.h"
@@ -25,37 +27,6 @@ namespace {
 
 constexpr double kTurn_rad = 2 * std::numbers::pi;
 
-void CheckSize(const WheelReference& wheel, const GrayImage& left, const GrayImage& right) {
-  for (const auto& [image, camera] :
-       {std::pair(&left, &wheel.rig.left), std::pair(&right, &wheel.rig.right)}) {
-    if (image->size() == camera->size()) continue;
-    throw InputError(fmt::format(
-        "the image has {} x {} px and the wheel's reference images {} x {}: it is of another rig",
-        image->width(), image->height(), camera->size().width, camera->size().height));
-  }
-}
-
-// The view of which most of what the frame shows is in the picture.
-std::size_t NearestView(const WheelReference& wheel, double angle_rad) {
-  std::size_t nearest = 0;
-  double least = kTurn_rad;
-  for (std::size_t v = 0; v < wheel.views.size(); ++v) {
-    const double off = std::abs(std::remainder(angle_rad - wheel.views[v].angle_rad, kTurn_rad));
-    if (off < least) {
-      least = off;
-      nearest = v;
-    }
-  }
-  return nearest;
-}
-
-// So many of them that at most `most` are left.
-int StrideFor(int points, int most) {
-  int stride = 1;
-  while (points > most * stride * stride) ++stride;
-  return stride;
-}
-
 // By how much the speed of a frame may be off because places disagree on the turns beside it.
 double SpeedSpread(const RollingAngles& angles, const std::vector<double>& times, std::size_t f) {
   const auto beside = [&](std::size_t later) {
@@ -64,20 +35,6 @@ double SpeedSpread(const RollingAngles& angles, const std::vector<double>& times
                : angles.frames[later].turn_spread_rad / (times[later] - times[later - 1]);
   };
   return std::max(beside(f), beside(f + 1));
-}
-
-// Only points that may be kept are matched, as far as they are near enough, half a subset, for
-// neighbours to lead to each other.
-RollingSurveyOptions Coarser(RollingSurveyOptions options, ImageSize image) {
-  FieldOptions& field = options.matching.field;
-  const bool placed = field.first_px.x() >= 0;
-  const int points = placed ? field.grid.width * field.grid.height
-                            : image.width / field.step_px * (image.height / field.step_px);
-  const int by = std::min(StrideFor(points, options.most_points),
-                          std::max(1, field.correlator.radius_px() / field.step_px));
-  field.step_px *= by;
-  if (placed) field.grid = {(field.grid.width - 1) / by + 1, (field.grid.height - 1) / by + 1};
-  return options;
 }
 
 double TimeOf(const RollingFrame& frame) {
@@ -124,6 +81,7 @@ struct RollingSurvey::Impl {
 
   Prepared& Prepare(std::size_t view);
   void Find(const GrayImage& left, const GrayImage& right, RollingFrame& frame);
+  void FindAnew(const GrayImage& left, const GrayImage& right, RollingFrame& frame);
   bool Follow(double angle_rad, const GrayImage& left, const GrayImage& right, RollingFrame& frame);
   void Search(double rough_rad, const GrayImage& left, const GrayImage& right, RollingFrame& frame);
   StereoField Expect(const internal::SurfaceMemory& supposed, const Prepared& prepared,
@@ -155,7 +113,7 @@ struct RollingSurvey::Impl {
 RollingSurvey::Impl::Impl(const WheelReference& w, const RollingSurveyOptions& o,
                           const Image<std::uint8_t>& m)
     : wheel(w),
-      options(Coarser(o, w.rig.left.size())),
+      options(internal::Coarser(o, w.rig.left.size())),
       mask(m),
       library(w, o.library),
       modes(w.rig),
@@ -199,7 +157,8 @@ void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, Rol
   const auto usable = [&](int r, int c) {
     return surface.status(r, c) == Status::kOk && material(r, c).allFinite();
   };
-  const int stride = StrideFor(static_cast<int>(material.pixel_count()), options.most_points);
+  const int stride =
+      internal::StrideFor(static_cast<int>(material.pixel_count()), options.most_points);
   grid = {(material.width() - 1) / stride + 1, (material.height() - 1) / stride + 1};
   first_px = field.left.first_px;
   spacing_px = stride * field.left.step_px;
@@ -280,7 +239,7 @@ bool RollingSurvey::Impl::Follow(double angle_rad, const GrayImage& left, const 
                                  RollingFrame& frame) {
   constexpr int kRounds = 3;
   constexpr double kAsMany = 0.95, kNoMore = 0.005;
-  frame.view = NearestView(wheel, angle_rad);
+  frame.view = internal::NearestView(wheel, angle_rad);
   Prepared& by = Prepare(frame.view);
   internal::SurfaceMemory supposed = memory;
   double before = 0;
@@ -309,7 +268,7 @@ bool RollingSurvey::Impl::Follow(double angle_rad, const GrayImage& left, const 
 // Anywhere in the images of the view at this angle.
 void RollingSurvey::Impl::Search(double rough_rad, const GrayImage& left, const GrayImage& right,
                                  RollingFrame& frame) {
-  frame.view = NearestView(wheel, rough_rad);
+  frame.view = internal::NearestView(wheel, rough_rad);
   Prepared& by = Prepare(frame.view);
   by.sequence->Restart();
   const StereoField field = by.sequence->Add(left, right, frame.index);
@@ -322,16 +281,40 @@ void RollingSurvey::Impl::Search(double rough_rad, const GrayImage& left, const 
 }
 
 void RollingSurvey::Impl::Find(const GrayImage& left, const GrayImage& right, RollingFrame& frame) {
+  if (!internal::LookForTags(wheel, left, right, frame)) return;
   const std::optional<double> foreseen_rad = memory.AngleAt(TimeOf(frame));
-  if (foreseen_rad && Follow(*foreseen_rad, left, right, frame)) return;
-  const WheelPlace place = library.Find(left);
-  if (!place.found) {
-    frame.problem = place.why;
-    return;
+  if (foreseen_rad && Follow(*foreseen_rad, left, right, frame)) {
+    frame.placed_by = PlacedBy::kFollowed;
+  } else {
+    FindAnew(left, right, frame);
   }
-  const double rough_rad = place.candidates.front().angle_rad;
+  if (frame.status == RollingFrameStatus::kPlaced &&
+      !frame.tag_place.Allows(frame.measured_angle_rad)) {
+    frame.problem = frame.tag_place.Contradiction(frame.measured_angle_rad);
+    Forget(frame);
+  }
+}
+
+// By its tags, where it shows any of the wheel's; else by its features.
+void RollingSurvey::Impl::FindAnew(const GrayImage& left, const GrayImage& right,
+                                   RollingFrame& frame) {
+  double rough_rad = frame.tag_place.angle_rad;
+  const bool by_tags = frame.tag_place.found;
+  if (!by_tags) {
+    const WheelPlace place = library.Find(left);
+    if (!place.found) {
+      frame.problem = place.why;
+      return;
+    }
+    rough_rad = place.candidates.front().angle_rad;
+  }
   if (memory.empty() || !Follow(rough_rad, left, right, frame)) {
     Search(rough_rad, left, right, frame);
+  }
+  if (frame.status == RollingFrameStatus::kPlaced) {
+    frame.placed_by = by_tags ? PlacedBy::kTags : PlacedBy::kFeatures;
+  } else if (by_tags) {
+    frame.problem = "where its tags say that the wheel stands, " + frame.problem;
   }
 }
 
@@ -367,6 +350,7 @@ void RollingSurvey::Impl::Place(const Prepared& by, const StereoField& field, do
 // What a frame's points said of it.
 void RollingSurvey::Impl::Forget(RollingFrame& frame) {
   frame.status = RollingFrameStatus::kNotFound;
+  frame.placed_by = PlacedBy::kNothing;
   frame.measured_angle_rad = RollingFrame::kNone;
   frame.points.clear();
   frame.right_from_left.reset();
@@ -397,7 +381,7 @@ void RollingSurvey::AddUnreadable(std::int64_t index, double time_s, const std::
 const RollingFrame& RollingSurvey::Add(std::int64_t index, double time_s, const GrayImage& left,
                                        const GrayImage& right) {
   Impl& impl = *impl_;
-  CheckSize(impl.wheel, left, right);
+  internal::CheckSize(impl.wheel, left, right);
   RollingFrame frame;
   frame.index = index;
   frame.time_s = time_s;
@@ -459,15 +443,16 @@ RollingWheel RollingSurvey::Finish() {
   out.sigma_common_rad = out.deformation.sigma_common_rad;
   for (std::size_t f = 0; f < n; ++f) {
     RollingFrame& frame = out.frames[f];
-    if (frame.status == RollingFrameStatus::kPlaced) {
-      frame.measured_angle_rad = out.deformation.frames[f].angle_rad;
-      frame.sigma_measured_rad = out.deformation.frames[f].sigma_rad;
-    }
+    if (frame.status != RollingFrameStatus::kPlaced) continue;
+    frame.measured_angle_rad = out.deformation.frames[f].angle_rad;
+    frame.sigma_measured_rad = out.deformation.frames[f].sigma_rad;
+  }
+  const Eigen::MatrixXd along = internal::HoldToTags(impl.wheel, out);
+  for (const RollingFrame& frame : out.frames) {
     angles.push_back(frame.measured_angle_rad);
     sigmas.push_back(frame.sigma_measured_rad);
   }
-  const SmoothedAngles smooth =
-      SmoothAngles(times, angles, sigmas, out.deformation.along_modes, impl.options.smoother);
+  const SmoothedAngles smooth = SmoothAngles(times, angles, sigmas, along, impl.options.smoother);
   out.angle_along_modes_rad = smooth.angle_along_rad;
   out.speed_along_modes_rad_s = smooth.speed_along_rad_s;
   out.jerk_rad_s25 = smooth.jerk_rad_s25;

@@ -14,8 +14,10 @@
 #include "match/stereo_sequence.h"
 #include "track/angle_smoother.h"
 #include "track/camera_motion.h"
+#include "track/rim_angles.h"
 #include "track/rolling_angles.h"
 #include "track/wheel_reference.h"
+#include "track/wheel_tags.h"
 
 namespace plumbline {
 
@@ -68,11 +70,19 @@ enum class RollingFrameStatus : std::uint8_t { kPlaced = 0, kUnreadable, kNotFou
 inline constexpr std::array<std::string_view, 3> kRollingFrameStatusNames = {"placed", "unreadable",
                                                                              "not_found"};
 
+// How a frame was found on the wheel: from the frames before, by its tags, by its features.
+enum class PlacedBy : std::uint8_t { kNothing = 0, kFollowed, kTags, kFeatures };
+inline constexpr std::array<std::string_view, 4> kPlacedByNames = {"nothing", "followed", "tags",
+                                                                   "features"};
+
 struct RollingFrame {
   std::int64_t index = 0;
   double time_s = kNone;  // NaN without a clock
   RollingFrameStatus status = RollingFrameStatus::kNotFound;
-  std::string problem;   // not placed: why, in a sentence
+  std::string problem;  // not placed: why, in a sentence
+  PlacedBy placed_by = PlacedBy::kNothing;
+  StereoTags tags;       // that it shows; of a wheel whose reference has none: none
+  TagPlace tag_place;    // what they say
   std::size_t view = 0;  // of the wheel, that it was matched with
   // Of the wheel, as the reference counts it (0 in its first frame), going on beyond a turn from
   // the first placed frame's, which is in 0 to 2 pi. Sigmas are of this frame; what is common to
@@ -107,6 +117,9 @@ struct RollingWheel {
   // What one sigma of each calibration mode adds: (K, frames); NaN where a frame is not placed.
   Eigen::MatrixXd angle_along_modes_rad, speed_along_modes_rad_s;
   double jerk_rad_s25 = 0, scatter = 1;  // of the smoother
+  // Known where tags on the rim are seen: then all angles are the rim's, and sigma_common_rad is of
+  // the tags. `deformation` is as the surface alone tells it.
+  CarcassTwist twist;
 
   int placed() const;
 };
@@ -114,11 +127,13 @@ struct RollingWheel {
 // Takes the frames of a recording in order. Each is matched with the view nearest to its angle
 // (StereoSequence), from where the frames before let expect it: the wheel turning on, the surface
 // pressed in as it was. The first frame, and one that shows too few of the expected points, is
-// found on the wheel by its features (WheelLibrary) and, if need be, searched as a whole. So frames
+// found on the wheel by its tags (PlaceByTags), or where it shows none by its features
+// (WheelLibrary), and, if need be, searched as a whole. So frames
 // before only tell where to start: all points are matched with the view and verified by themselves.
 // Their points give the angles (FindRollingAngles), these are smoothed (SmoothAngles). A frame that
-// is not found on the wheel is marked and left out; its angle is not guessed, though the smoother
-// could.
+// is not found on the wheel, or whose tags say something else than its points do, is marked and
+// left out; its angle is not guessed, though the smoother could. Tags on the rim tell the wheel's
+// own angle (HoldToRim).
 //
 // Memory: about 120 bytes a point kept and what the prepared views take.
 // Calibration: along a mode the points of a frame, those of the reference image, the axis and the

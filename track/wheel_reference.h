@@ -14,6 +14,7 @@
 #include "match/feature_index.h"
 #include "track/wheel_adjustment.h"
 #include "track/wheel_profile.h"
+#include "track/wheel_tags.h"
 #include "track/wheel_tracks.h"
 
 namespace plumbline {
@@ -69,6 +70,7 @@ struct WheelReference {
   std::int64_t observations = 0, outliers = 0;
   WheelProfile profile = {};
   std::vector<WheelReferenceView> views = {};  // by angle
+  WheelTags tags = {};
 
   double largest_angle_rad() const;
 };

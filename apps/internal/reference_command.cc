@@ -1,9 +1,12 @@
 #include <fmt/format.h>
 #include <spdlog/spdlog.h>
 
+#include <cstdio>
 #include <filesystem>
 #include <memory>
 #include <optional>
+#include <sstream>
+#include <vector>
 
 #include "apps/internal/command.h"
 #include "apps/internal/field_options.h"
@@ -12,6 +15,7 @@
 #include "apps/internal/wheel_report.h"
 #include "apps/interrupt.h"
 #include "apps/wheel_reference_run.h"
+#include "calib/detect_tags.h"
 #include "calib/error.h"
 #include "io/noise_file.h"
 #include "io/wheel_file.h"
@@ -48,7 +52,7 @@ class ReferenceCommand : public Command {
   static constexpr int kSubset_px = 21;
 
   RecordingOptionSet recording_;
-  std::string output_ = "wheel.h5", roi_, mask_;
+  std::string output_ = "wheel.h5", roi_, mask_, tags_, rim_tags_;
   std::optional<int> step_px_;
   bool overwrite_ = false;
   double spacing_share_ = WheelChainOptions().least_seen_share;
@@ -83,8 +87,37 @@ void ReferenceCommand::Declare(OptionTable& options) {
                .min = 0.25,
                .max = 0.95},
               &spacing_share_);
+  options.Add({.name = "tags",
+               .help = "AprilTags on the wheel, by their family (36h11, 36h10, 25h9, 16h5): they "
+                       "tell measure which part of the wheel a frame shows; empty: none",
+               .unit = "FAMILY"},
+              &tags_);
+  options.Add({.name = "rim-tags",
+               .help = "tags that are on the rim, by id, as 0,3,7-9: they tell the wheel's angle "
+                       "whatever the tyre does; empty: all are on the tyre",
+               .unit = "IDS"},
+              &rim_tags_);
   matching_.Declare(options);
   recording_.DeclareForeign(options);
+}
+
+// "0,3,7-9" as the ids that it names.
+std::vector<int> IdList(const std::string& text) {
+  std::vector<int> ids;
+  std::istringstream in(text);
+  for (std::string item; std::getline(in, item, ',');) {
+    int first = 0, last = 0, used = 0;
+    const int read = std::sscanf(item.c_str(), "%d%n-%d%n", &first, &used, &last, &used);
+    constexpr int kMost = 100'000;
+    if (read < 2) last = first;
+    if (read < 1 || used != static_cast<int>(item.size()) || first < 0 || last < first ||
+        last > kMost) {
+      throw UsageError(
+          fmt::format("--rim-tags takes ids of tags between commas, as 0,3,7-9, not '{}'.", text));
+    }
+    for (int id = first; id <= last; ++id) ids.push_back(id);
+  }
+  return ids;
 }
 
 // Of the first image that can be read.
@@ -109,6 +142,8 @@ WheelReferenceRunOptions ReferenceCommand::Options(std::uint64_t seed, int bits)
   }
   if (!roi_.empty()) options.roi = PixelRegion::Parse(roi_);
   if (!mask_.empty()) options.mask = ReadMask(mask_);
+  if (!tags_.empty()) options.tag_family = TagFamilyOf(tags_);
+  options.rim_tags = IdList(rim_tags_);
   options.Check();
   return options;
 }

@@ -6,6 +6,7 @@
 #include <numbers>
 
 #include "apps/internal/two_digits.h"
+#include "track/rolling_survey.h"
 
 namespace plumbline::internal {
 namespace {
@@ -31,11 +32,21 @@ nlohmann::json Numbers(double value, double random, double calibration, double s
           {"sigma_calibration", finite(scale * calibration)}};
 }
 
+// How the frame was found, where that is known.
+std::string PlacementText(const PlacementRecord& placement) {
+  if (!placement.found) return "";
+  const std::string seen =
+      placement.tags > 0 ? fmt::format("; tags: {:.0f}", placement.tags) : std::string();
+  return fmt::format(" (found by: {}{})",
+                     kPlacedByNames[static_cast<std::size_t>(placement.placed_by)], seen);
+}
+
 }  // namespace
 
 std::optional<RollingReport> RollingReportOf(const SeriesFrame& frame) {
   if (!frame.rig_rotation.found && frame.rig_rotation.problem.empty()) return std::nullopt;
-  RollingReport report{frame.wheel, frame.rig_rotation, frame.deformation, frame.patch, frame.slip};
+  RollingReport report{frame.wheel,       frame.placement, frame.rig_rotation,
+                       frame.deformation, frame.patch,     frame.slip};
   report.patch.contour_mm.clear();
   report.slip.velocity_mm_s = report.slip.sigma_random_mm_s =
       report.slip.sigma_calibration_mm_s = {};
@@ -49,9 +60,10 @@ std::string TextOf(const RollingReport& report) {
   const PatchRecord& p = report.patch;
   const SlipRecord& s = report.slip;
   std::string text = fmt::format(
-      "  Wheel: angle {} deg, speed {} rad/s.\n",
+      "  Wheel: angle {} deg, speed {} rad/s{}.\n",
       Measured(w.angle_rad, w.sigma_random_angle_rad, w.sigma_calibration_angle_rad, 4, kDegrees),
-      Measured(w.speed_rad_s, w.sigma_random_speed_rad_s, w.sigma_calibration_speed_rad_s, 5));
+      Measured(w.speed_rad_s, w.sigma_random_speed_rad_s, w.sigma_calibration_speed_rad_s, 5),
+      PlacementText(report.placement));
   if (!r.found) return text + fmt::format("  Ground: not found: {}.\n", r.problem);
   text += fmt::format(
       "  Rig over the ground: pitch {}, roll {} deg, axis {}; {:.0f} % from other frames.\n",
@@ -122,6 +134,15 @@ nlohmann::json JsonOf(const RollingReport& report) {
       Numbers(s.angle_rad, s.sigma_random_angle_rad, s.sigma_calibration_angle_rad, kDegrees);
   json["speed_mm_s"] =
       Numbers(s.speed_mm_s, s.sigma_random_speed_mm_s, s.sigma_calibration_speed_mm_s);
+  if (report.placement.found) {
+    const PlacementRecord& t = report.placement;
+    json["placement"] = {{"placed_by", kPlacedByNames[static_cast<std::size_t>(t.placed_by)]},
+                         {"tags", t.tags},
+                         {"rim_tags", t.rim_tags},
+                         {"unknown_tags", t.unknown_tags},
+                         {"carcass_twist_deg", Numbers(t.twist_rad, t.sigma_random_twist_rad,
+                                                       t.sigma_calibration_twist_rad, kDegrees)}};
+  }
   json["problems"] = {
       {"ground", r.problem}, {"deformation", d.problem}, {"patch", p.problem}, {"slip", s.problem}};
   return json;

@@ -11,6 +11,7 @@ namespace plumbline::internal {
 // What `measure` says of a frame of a rolling tyre.
 struct RollingReport {
   WheelRecord wheel;
+  PlacementRecord placement;
   RigRotationRecord rotation;
   DeformationRecord deformation;
   PatchRecord patch;  // without its contour

@@ -46,6 +46,41 @@ std::string SigmaText(double random, double calibration) {
                                                 : "calibration unknown");
 }
 
+// The largest of a tag's corners' coordinates.
+double LargestSigma(const WheelTag& tag) {
+  return std::sqrt(tag.cov_random_mm2.diagonal().maxCoeff());
+}
+
+std::string TextOf(const WheelTags& tags) {
+  if (tags.family.empty()) return "";
+  if (tags.tags.empty()) return fmt::format("Tags ({}): none is found.\n", tags.family);
+  std::string on_tyre, on_rim;
+  double worst = 0;
+  for (const WheelTag& tag : tags.tags) {
+    (tag.on_rim ? on_rim : on_tyre) += fmt::format(" {}", tag.id);
+    worst = std::max(worst, LargestSigma(tag));
+  }
+  return fmt::format(
+      "Tags ({}): on the tyre{}; on the rim{}. Corners: noise of {} px, sigma of a place up to {} "
+      "mm.\n",
+      tags.family, on_tyre.empty() ? " none" : on_tyre, on_rim.empty() ? " none" : on_rim,
+      TwoDigits(tags.sigma_px), TwoDigits(worst));
+}
+
+nlohmann::json JsonOf(const WheelTags& tags) {
+  nlohmann::json list = nlohmann::json::array();
+  for (const WheelTag& tag : tags.tags) {
+    const Eigen::Vector3d centre = tag.Centre();
+    list.push_back({{"id", tag.id},
+                    {"on_rim", tag.on_rim},
+                    {"frames", tag.frames},
+                    {"centre_mm", {centre.x(), centre.y(), centre.z()}},
+                    {"side_mm", tag.SideMm()},
+                    {"largest_sigma_random_mm", LargestSigma(tag)}});
+  }
+  return {{"family", tags.family}, {"corner_sigma_px", tags.sigma_px}, {"found", list}};
+}
+
 }  // namespace
 
 std::string TextOf(const WheelReference& wheel) {
@@ -78,6 +113,7 @@ std::string TextOf(const WheelReference& wheel) {
         "Inner surface: largest radius {:.3f} mm, sigma {} mm.\n", profile.crown_radius_mm,
         SigmaText(profile.sigma_crown_random_mm, profile.sigma_crown_calibration_mm));
   }
+  text += TextOf(wheel.tags);
   return text + fmt::format(
                     "{} reference images; {} matches, {} of them outliers, scatter {:.2f} "
                     "of what noise lets expect.\n",
@@ -100,22 +136,25 @@ nlohmann::json JsonOf(const WheelReference& wheel) {
                       {"sigma_calibration_rad", frame.sigma_calibration_rad}});
   }
   const WheelProfile& profile = wheel.profile;
-  return {{"axis_in_rig", {axis.x(), axis.y(), axis.z()}},
-          {"axis_distance_mm", both(wheel.axis.distance_mm, std::sqrt(wheel.cov_axis_random(3, 3)),
-                                    std::sqrt(wheel.cov_axis_calibration(3, 3)))},
-          {"crown_radius_mm", both(profile.crown_radius_mm, profile.sigma_crown_random_mm,
-                                   profile.sigma_crown_calibration_mm)},
-          {"closed", wheel.closed},
-          {"misclosure_rad", wheel.misclosure_rad},
-          {"turned_rad", wheel.largest_angle_rad()},
-          {"largest_sigma_random_rad", sigmas.random_rad},
-          {"largest_sigma_calibration_rad", sigmas.calibration_rad},
-          {"placed_frames", PlacedFrames(wheel)},
-          {"frames", angles},
-          {"reference_images", wheel.views.size()},
-          {"matches", wheel.observations},
-          {"outliers", wheel.outliers},
-          {"sigma0", wheel.sigma0}};
+  nlohmann::json json = {
+      {"axis_in_rig", {axis.x(), axis.y(), axis.z()}},
+      {"axis_distance_mm", both(wheel.axis.distance_mm, std::sqrt(wheel.cov_axis_random(3, 3)),
+                                std::sqrt(wheel.cov_axis_calibration(3, 3)))},
+      {"crown_radius_mm", both(profile.crown_radius_mm, profile.sigma_crown_random_mm,
+                               profile.sigma_crown_calibration_mm)},
+      {"closed", wheel.closed},
+      {"misclosure_rad", wheel.misclosure_rad},
+      {"turned_rad", wheel.largest_angle_rad()},
+      {"largest_sigma_random_rad", sigmas.random_rad},
+      {"largest_sigma_calibration_rad", sigmas.calibration_rad},
+      {"placed_frames", PlacedFrames(wheel)},
+      {"frames", angles},
+      {"reference_images", wheel.views.size()},
+      {"matches", wheel.observations},
+      {"outliers", wheel.outliers},
+      {"sigma0", wheel.sigma0}};
+  if (!wheel.tags.family.empty()) json["tags"] = JsonOf(wheel.tags);
+  return json;
 }
 
 }  // namespace plumbline::internal

@@ -313,7 +313,7 @@ void CheckSeriesGroups(hid_t file, LayoutCheck* check) {
   CheckNexusGroups(file, {"/frames", "/grid", "/surface", "/ground"},
                    {"/displacement", "/strain", "/wheel", "/patch", "/slip", "/match", "/velocity",
                     "/rigid_motion", "/rig_watch", "/rig_rotation", "/deformation",
-                    "/wheel_channel", "/reference"},
+                    "/wheel_channel", "/placement", "/reference"},
                    check);
   for (const PointGroupFacts& group : StereoPoints().groups) {
     if (!group.in_surface_frame) continue;

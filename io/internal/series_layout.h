@@ -16,7 +16,7 @@ namespace plumbline::internal {
 using ContentFlag = bool SeriesContents::*;
 template <>
 struct OptionalContents<SeriesContents> {
-  static constexpr std::array<OptionalContent<SeriesContents>, 15> list = {{
+  static constexpr std::array<OptionalContent<SeriesContents>, 16> list = {{
       {"covariance", "/surface/covariance", &SeriesContents::covariance},
       {"displacement", "/displacement", &SeriesContents::displacement},
       {"strain", "/strain", &SeriesContents::strain},
@@ -32,6 +32,7 @@ struct OptionalContents<SeriesContents> {
       {"material", "/material", &SeriesContents::material},
       {"strain_windows", "/strain/window_points", &SeriesContents::strain_windows},
       {"wheel_channel", "/wheel_channel", &SeriesContents::wheel_channel},
+      {"placement", "/placement", &SeriesContents::placement},
   }};
 };
 

@@ -318,6 +318,35 @@ RecordGroup DeformationGroup() {
   return add.Take();
 }
 
+RecordGroup PlacementGroup() {
+  using P = PlacementRecord;
+  RecordGroup group{"/placement",
+                    "place on the wheel",
+                    "placed_by",
+                    &SeriesContents::placement,
+                    {},
+                    {},
+                    {},
+                    {},
+                    {}};
+  GroupBuilder<P> add(std::move(group), &SeriesFrame::placement);
+  add.Stored({"placed_by", "1",
+              "how the frame was found on the wheel: 1, followed from the frames before; 2, by its "
+              "tags; 3, by its features"},
+             &P::placed_by)
+      .needed = true;
+  add.Stored({"tags", "1", "tags of the wheel that both images show"}, &P::tags);
+  add.Stored({"rim_tags", "1", "those of them that are on the rim"}, &P::rim_tags);
+  add.Stored({"unknown_tags", "1", "tags that the wheel's reference does not have"},
+             &P::unknown_tags);
+  add.Stored({"tag_angle_rad", "rad", "angle of the wheel by its tags, 0 to 2 pi"},
+             &P::tag_angle_rad);
+  add.Measured(
+      {"twist_rad", "rad", "how far the surface is turned ahead of the rim, of the whole run"},
+      &P::twist_rad, &P::sigma_random_twist_rad, &P::sigma_calibration_twist_rad);
+  return add.Take();
+}
+
 RecordGroup RigidMotionGroup() {
   using M = RigidMotionRecord;
   RecordGroup group{"/rigid_motion",
@@ -413,9 +442,9 @@ RecordGroup WheelChannelGroup() {
 
 const std::vector<RecordGroup>& RecordGroups() {
   static const std::vector<RecordGroup> groups = {
-      GroundGroup(),      WheelGroup(),       PatchGroup(),
-      SlipGroup(),        RigidMotionGroup(), RigWatchGroup(),
-      RigRotationGroup(), DeformationGroup(), WheelChannelGroup()};
+      GroundGroup(),       WheelGroup(),    PatchGroup(),       SlipGroup(),
+      RigidMotionGroup(),  RigWatchGroup(), RigRotationGroup(), DeformationGroup(),
+      WheelChannelGroup(), PlacementGroup()};
   return groups;
 }
 

@@ -47,7 +47,7 @@ struct RecordGroup {
 };
 
 // /ground, /wheel, /patch (without its contour), the numbers of /slip, /rigid_motion, /rig_watch,
-// /rig_rotation, /deformation, /wheel_channel.
+// /rig_rotation, /deformation, /wheel_channel, /placement.
 const std::vector<RecordGroup>& RecordGroups();
 
 }  // namespace plumbline::internal

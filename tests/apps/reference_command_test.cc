@@ -31,7 +31,9 @@ constexpr int kFrames = 8;
 class ReferenceCommand : public ::testing::Test {
  protected:
   static void SetUpTestSuite() {
-    wheel_ = new LiftedWheel(kFrames, 6 * kDegrees);
+    Scenario scenario = LiftedWheel::ScenarioOf(kFrames, 6 * kDegrees);
+    scenario.tags = WheelTagOptions::Parse("36h11:24:24mm");
+    wheel_ = new LiftedWheel(scenario);
     for (int f = 0; f < kFrames; ++f) wheel_->Pair(f);
   }
   static void TearDownTestSuite() { delete wheel_; }
@@ -92,16 +94,36 @@ TEST_F(ReferenceCommand, WritesTheWheel) {
 }
 
 TEST_F(ReferenceCommand, TellsWhatTheUserShouldKnow) {
-  const CommandResult made = RunPlumbline(Arguments(""));
+  const CommandResult made = RunPlumbline(Arguments("--tags 36h11 --rim-tags 1,400-401"));
   ASSERT_EQ(made.exit_code, 0) << made.output;
   EXPECT_THAT(made.output, HasSubstr("Wheel axis: along"));
   EXPECT_THAT(made.output, HasSubstr("00003.png"));
   EXPECT_THAT(made.output, HasSubstr("no full turn closes"));
   EXPECT_THAT(made.output, HasSubstr("calibration unknown"));
+  EXPECT_THAT(made.output, HasSubstr("Tags (tag36h11): on the tyre 0"));
+  EXPECT_THAT(made.output, HasSubstr("tag 400, said to be on the rim"));
+  const WheelTags tags = ReadWheelFile(Path("wheel.h5")).tags;
+  EXPECT_EQ(tags.family, "tag36h11");
+  ASSERT_GE(tags.tags.size(), 3U);
+  for (const WheelTag& tag : tags.tags) {
+    EXPECT_EQ(tag.on_rim, tag.id == 1);
+    EXPECT_NEAR(tag.SideMm(), 24, 0.3);
+    EXPECT_NEAR(std::hypot(tag.Centre().x(), tag.Centre().z()), 381, 1);
+  }
+  const CommandResult told = RunPlumbline("info --json " + Path("wheel.h5"));
+  EXPECT_EQ(nlohmann::json::parse(told.output)["tags"]["found"].size(), tags.tags.size());
 }
 
 TEST_F(ReferenceCommand, SaysWhatIsWrong) {
   EXPECT_EQ(RunPlumbline(Arguments("-q --step 9")).exit_code, 2);
+  EXPECT_THAT(RunPlumbline(Arguments("-q --tags 36h12")).output, HasSubstr("no family of tags"));
+  EXPECT_THAT(RunPlumbline(Arguments("-q --rim-tags 1")).output, HasSubstr("with --tags"));
+  for (const char* ids : {"1,a", "3-1", "1-", "-2"}) {
+    const CommandResult wrong =
+        RunPlumbline(Arguments("-q --tags 36h11 --rim-tags=" + std::string(ids)));
+    EXPECT_EQ(wrong.exit_code, 2) << ids;
+    EXPECT_THAT(wrong.output, HasSubstr("0,3,7-9")) << ids;
+  }
   const CommandResult still = RunPlumbline(Arguments("-q --frames 2"));
   EXPECT_EQ(still.exit_code, 3);
   EXPECT_THAT(still.output, HasSubstr("does not turn"));

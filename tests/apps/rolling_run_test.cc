@@ -275,7 +275,10 @@ TEST_F(RollingTyre, IsMeasuredByTheCommand) {
   EXPECT_EQ(run.displacement_reference(), "wheel");
   EXPECT_TRUE(run.Frame(0).wheel.found);
   EXPECT_FALSE(run.Frame(0).material.position_mm.empty());
+  EXPECT_EQ(run.Frame(0).placement.placed_by, 3);  // by its features
+  EXPECT_EQ(run.Frame(0).placement.tags, 0);
   EXPECT_THAT(run.Frame(1).problem, HasSubstr("not found on the wheel"));
+  EXPECT_FALSE(run.Frame(1).placement.found);
   EXPECT_FALSE(run.Frame(1).wheel.found);
   // One frame does not turn; the channel is not used, and file and report say so.
   EXPECT_FALSE(run.Frame(0).wheel_channel.found);

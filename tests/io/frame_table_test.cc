@@ -63,6 +63,8 @@ for k in (0, 2):
     np.testing.assert_allclose(R, file['ground/ground_from_rig'][k][:3, :3], atol=1e-12)
 assert rows[1]['ground_turn_x_deg'] == 'nan'
 same('rig_pitch_deg', file['rig_rotation/pitch_rad'][:], degrees)
+same('carcass_twist_deg', file['placement/twist_rad'][:], degrees)
+same('placed_by', file['placement/placed_by'][:])
 same('sigma_random_radial_mm', file['deformation/radial_mm_errors_random'][:])
 same('speed_mm_s', file['slip/speed'][:])
 same('translation_z_mm', file['rigid_motion/translation'][:, 2])

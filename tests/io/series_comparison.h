@@ -141,6 +141,17 @@ inline void ExpectSameDeformation(const DeformationRecord& a, const DeformationR
   ExpectSame(a.radial_at_mm, b.radial_at_mm);
 }
 
+inline void ExpectSamePlacement(const PlacementRecord& a, const PlacementRecord& b) {
+  using P = PlacementRecord;
+  EXPECT_EQ(a.found, b.found);
+  EXPECT_EQ(a.problem, b.problem);
+  for (const auto member :
+       {&P::placed_by, &P::tags, &P::rim_tags, &P::unknown_tags, &P::tag_angle_rad, &P::twist_rad,
+        &P::sigma_random_twist_rad, &P::sigma_calibration_twist_rad}) {
+    ExpectSame(a.*member, b.*member);
+  }
+}
+
 inline void ExpectSameRigidMotion(const RigidMotionRecord& a, const RigidMotionRecord& b) {
   EXPECT_EQ(a.found, b.found);
   EXPECT_EQ(a.problem, b.problem);
@@ -247,6 +258,7 @@ inline void ExpectSameFrame(const SeriesFrame& a, const SeriesFrame& b) {
   EXPECT_EQ(a.wheel_channel.found, b.wheel_channel.found);
   EXPECT_EQ(a.wheel_channel.problem, b.wheel_channel.problem);
   ExpectSame(a.wheel_channel.lean, b.wheel_channel.lean);
+  ExpectSamePlacement(a.placement, b.placement);
 }
 
 }  // namespace plumbline::testing

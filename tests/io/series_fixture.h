@@ -85,7 +85,7 @@ inline SeriesFrame SmallFrame(std::int64_t i, ImageSize grid = {7, 5}) {
 inline SeriesHeader FullHeader(ImageSize grid = {7, 5}) {
   SeriesHeader header = SmallHeader(grid);
   header.contents = {true, true, true, true, true, true, true, true,
-                     true, true, true, true, true, true, true};
+                     true, true, true, true, true, true, true, true};
   header.grid_points = "material";
   header.displacement_reference = "frame 10";
   header.rigid_motion_removed = true;
@@ -256,6 +256,19 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
     frame.wheel_channel.lean = 0.9;
   } else {
     frame.wheel_channel.problem = "another unit";
+  }
+  PlacementRecord& placement = frame.placement;
+  placement.found = i != 1;
+  if (!placement.found) placement.problem = "its tags contradict each other";
+  if (placement.found) {
+    placement.placed_by = 2;
+    placement.tags = 3;
+    placement.rim_tags = 1;
+    placement.unknown_tags = t;
+    placement.tag_angle_rad = 0.5;
+    placement.twist_rad = -0.008;
+    placement.sigma_random_twist_rad = 3e-4;
+    placement.sigma_calibration_twist_rad = 4e-4;
   }
   DeformationRecord& deformation = frame.deformation;
   deformation.found = true;

@@ -110,8 +110,8 @@ TEST(SeriesGroups, AreEachOptional) {
         &SeriesContents::wheel, &SeriesContents::patch, &SeriesContents::slip,
         &SeriesContents::matches, &SeriesContents::velocity, &SeriesContents::rigid_motion,
         &SeriesContents::rig_watch, &SeriesContents::rig_rotation, &SeriesContents::deformation,
-        &SeriesContents::material, &SeriesContents::strain_windows,
-        &SeriesContents::wheel_channel}) {
+        &SeriesContents::material, &SeriesContents::strain_windows, &SeriesContents::wheel_channel,
+        &SeriesContents::placement}) {
     SeriesHeader header = SmallHeader();
     header.contents.*flag = true;
     if (header.contents.strain_windows) header.contents.strain = true;
@@ -134,6 +134,7 @@ TEST(SeriesGroups, AreEachOptional) {
     EXPECT_EQ(frame.rig_rotation.found, header.contents.rig_rotation);
     EXPECT_EQ(frame.deformation.found, header.contents.deformation);
     EXPECT_EQ(frame.wheel_channel.found, header.contents.wheel_channel);
+    EXPECT_EQ(frame.placement.found, header.contents.placement);
     EXPECT_EQ(frame.patch.contour_mm.size(), header.contents.patch ? 3u : 0u);
     EXPECT_THAT(Validate(file), IsEmpty());
   }
@@ -308,13 +309,13 @@ TEST(SeriesGroups, AreNamedInTheSummary) {
       Inspect(file).Text(),
       HasSubstr("also holds: covariance, displacement, strain, patch, slip, matches, velocity, "
                 "rigid_motion, rig_watch, rig_rotation, deformation, material, strain_windows, "
-                "wheel_channel, channels (Fz, empty)\n"));
+                "wheel_channel, placement, channels (Fz, empty)\n"));
   Write(TestFolder() / "plain.h5", SmallHeader(), {SmallFrame(0)});
   EXPECT_THAT(Inspect(TestFolder() / "plain.h5").Text(), ::testing::Not(HasSubstr("also")));
   EXPECT_THAT(Names(header.contents),
               ElementsAre("covariance", "displacement", "strain", "patch", "slip", "matches",
                           "velocity", "rigid_motion", "rig_watch", "rig_rotation", "deformation",
-                          "material", "strain_windows", "wheel_channel"));
+                          "material", "strain_windows", "wheel_channel", "placement"));
 }
 
 TEST(PrincipalStrain, IsThatOfMohrsCircle) {

@@ -299,7 +299,7 @@ assert f.attrs['format'] == 'plumbline-series' and f.attrs['format_version'] == 
 for name in ('created', 'software', 'recipe', 'inputs'): assert name in f.attrs, name
 assert count > 200, count
 check_nexus('surface', 'grid', 'frames', 'ground', 'displacement', 'strain', 'wheel', 'patch', 'slip', 'channels/Fz',
-            'match', 'velocity', 'rigid_motion', 'rig_watch', 'rig_rotation', 'deformation', 'material')
+            'match', 'velocity', 'rigid_motion', 'rig_watch', 'rig_rotation', 'deformation', 'material', 'placement')
 p, s = f['surface/position'], f['surface/status']
 assert p.shape == (3, 5, 7, 3) and p.chunks == (1, 5, 7, 3) and p.shuffle and p.compression_opts == 1
 assert np.isnan(p.fillvalue)
@@ -315,7 +315,7 @@ for n in ('surface/position', 'displacement/value', 'strain/value', 'strain/prin
           'wheel/axis', 'wheel/centre', 'wheel/radius', 'wheel/angle_rad', 'wheel/speed', 'patch/area_mm2', 'patch/length_mm',
           'patch/width_mm', 'patch/centroid', 'slip/ratio', 'slip/angle_rad', 'slip/speed', 'slip/effective_radius_mm', 'slip/ratio_by_channel',
           'rig_rotation/pitch_rad', 'rig_rotation/roll_rad', 'rig_rotation/height_mm', 'deformation/loaded_radius_mm', 'deformation/deflection_mm',
-          'deformation/longitudinal_mm', 'deformation/lateral_mm', 'deformation/radial_mm'):
+          'placement/twist_rad', 'deformation/longitudinal_mm', 'deformation/lateral_mm', 'deformation/radial_mm'):
     v, a, b, e = (f[n + x][:] for x in ('', '_errors_random', '_errors_calibration', '_errors'))
     assert v.shape == a.shape == b.shape == e.shape, n
     left_out = f[n + '_errors_model'][:] if n == 'strain/value' else 0

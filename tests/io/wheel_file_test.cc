@@ -65,6 +65,23 @@ WheelReference Wheel(int bits) {
   return wheel;
 }
 
+// Two tags, the second one on the rim.
+void AddTags(WheelReference* wheel) {
+  wheel->tags.family = "tag36h11";
+  wheel->tags.sigma_px = 0.09;
+  for (const int id : {3, 11}) {
+    WheelTag tag;
+    tag.id = id;
+    tag.on_rim = id == 11;
+    tag.frames = 12 + id;
+    for (std::size_t k = 0; k < 4; ++k) tag.corner_mm[k] = Eigen::Vector3d::Random() * 300;
+    const WheelTag::Covariance root = WheelTag::Covariance::Random();
+    tag.cov_random_mm2 = root * root.transpose();
+    tag.along_modes_mm = Eigen::MatrixXd::Random(wheel->rig.modes.count(), 12);
+    wheel->tags.tags.push_back(tag);
+  }
+}
+
 template <typename T>
 bool SameBits(const Image<T>& a, const Image<T>& b) {
   return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.pixel_count() * sizeof(T)) == 0;
@@ -115,6 +132,43 @@ TEST(WheelFile, ReadsBackTheSameBits) {
   }
 }
 
+TEST(WheelFile, HoldsTheTags) {
+  const fs::path file = TestFolder() / "wheel.h5";
+  WheelReference wheel = Wheel(8);
+  WriteWheelFile(file, wheel);
+  EXPECT_EQ(ReadWheelFile(file).tags.family, "");  // as files of before have none
+  AddTags(&wheel);
+  WriteWheelFile(file, wheel);
+  const WheelTags back = ReadWheelFile(file).tags;
+  EXPECT_EQ(back.family, "tag36h11");
+  EXPECT_EQ(back.sigma_px, 0.09);
+  ASSERT_EQ(back.tags.size(), 2U);
+  for (std::size_t t = 0; t < 2; ++t) {
+    const WheelTag &a = wheel.tags.tags[t], &b = back.tags[t];
+    EXPECT_EQ(b.id, a.id);
+    EXPECT_EQ(b.on_rim, a.on_rim);
+    EXPECT_EQ(b.frames, a.frames);
+    EXPECT_EQ(b.corner_mm, a.corner_mm);
+    EXPECT_EQ(b.cov_random_mm2, a.cov_random_mm2);
+    EXPECT_EQ(b.along_modes_mm, a.along_modes_mm);
+  }
+  const Eigen::Vector3d corner = wheel.tags.tags[1].corner_mm[2];
+  testing::WalkWithH5py(file, R"py(
+tags = f['wheel/tags']
+assert tags.attrs['family'] == 'tag36h11' and tags.attrs['sigma_px'] == 0.09
+assert list(tags['id'][:]) == [3, 11] and list(tags['on_rim'][:]) == [0, 1] and list(tags['frames'][:]) == [15, 23]
+assert tags['corner'].shape == (2, 4, 3) and tags['corner_covariance'].shape == (2, 12, 12)
+assert tags['corner_along_modes'].shape == (2, f['rig/modes'].shape[0], 12)
+assert (np.linalg.eigvalsh(tags['corner_covariance'][1]) > -1e-9).all()
+print('walked', count)
+)py");
+  const auto read = testing::RunPython(
+      "import sys, h5py; print(float(h5py.File(sys.argv[1])['wheel/tags/corner'][1, 2, 1]))",
+      file.string());
+  ASSERT_EQ(read.exit_code, 0) << read.output;
+  EXPECT_NEAR(std::stod(read.output), corner.y(), 1e-9);
+}
+
 TEST(WheelFile, IsReadByH5py) {
   const fs::path file = TestFolder() / "wheel.h5";
   WriteWheelFile(file, Wheel(8));
@@ -144,7 +198,9 @@ TEST(WheelFile, SaysWhatIsWrong) {
     }
     return "";
   };
-  WriteWheelFile(folder / "good.h5", Wheel(8));
+  WheelReference wheel = Wheel(8);
+  AddTags(&wheel);
+  WriteWheelFile(folder / "good.h5", wheel);
   EXPECT_EQ(refusal("good.h5"), "");
   std::ofstream(folder / "text.h5") << "no HDF5 at all";
   const auto made = testing::RunPython(R"py(
@@ -158,6 +214,8 @@ del spoil('views')['views/left']
 spoil('frame')['views/frame'][1] = 3
 f = spoil('points'); p = f['views/point'][:, :2]; del f['views/point']; f['views/point'] = p
 spoil('rig').attrs['format'] = 'plumbline-rig'
+spoil('ids')['wheel/tags/id'][1] = 3
+f = spoil('corners'); p = f['wheel/tags/corner'][:, :3]; del f['wheel/tags/corner']; f['wheel/tags/corner'] = p
 )py",
                                        folder.string());
   ASSERT_EQ(made.exit_code, 0) << made.output;
@@ -167,6 +225,8 @@ spoil('rig').attrs['format'] = 'plumbline-rig'
   EXPECT_THAT(refusal("views.h5"), ::testing::HasSubstr("views/left"));
   EXPECT_THAT(refusal("frame.h5"), ::testing::HasSubstr("/views/frame"));
   EXPECT_THAT(refusal("points.h5"), ::testing::HasSubstr("grids"));
+  EXPECT_THAT(refusal("ids.h5"), ::testing::HasSubstr("ids do not ascend"));
+  EXPECT_THAT(refusal("corners.h5"), ::testing::HasSubstr("/wheel/tags/corner"));
   EXPECT_THAT(refusal("rig.h5"), ::testing::HasSubstr("plumbline-wheel"));
 }
 
