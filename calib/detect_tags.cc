@@ -21,7 +21,8 @@ std::string TagFamilyOf(std::string_view name) {
 }
 
 std::vector<DetectedTag> DetectTags(const GrayImage& image, const std::string& family) {
-  return internal::FindTags(internal::ToMat8(image), family);
+  constexpr int kPublishedBorder = 1, kCorrectedBits = 1;
+  return internal::FindTags(internal::ToMat8(image), family, kPublishedBorder, kCorrectedBits);
 }
 
 }  // namespace plumbline

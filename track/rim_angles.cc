@@ -1,5 +1,6 @@
 #include "track/rim_angles.h"
 
+#include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <stdexcept>

@@ -290,7 +290,7 @@ void RollingSurvey::Impl::Find(const GrayImage& left, const GrayImage& right, Ro
   }
   if (frame.status == RollingFrameStatus::kPlaced &&
       !frame.tag_place.Allows(frame.measured_angle_rad)) {
-    frame.problem = frame.tag_place.Contradiction(frame.measured_angle_rad);
+    frame.problem = frame.tag_place.why = frame.tag_place.Contradiction(frame.measured_angle_rad);
     Forget(frame);
   }
 }

@@ -102,7 +102,7 @@ struct TagPlace {
   double angle_rad = std::numeric_limits<double>::quiet_NaN();
   int known = 0, rim = 0;    // tags of the wheel in both images, those on the rim among them
   std::vector<int> unknown;  // ids that the wheel does not have
-  std::string why;           // tags contradict each other: a sentence without full stop
+  std::string why;  // they contradict each other or the surface: a sentence without full stop
 
   static constexpr double kMostDrawn_rad = 0.0873;  // 5 degrees
 

@@ -59,9 +59,7 @@ std::vector<std::string> TagNotes(const WheelReference& wheel, const RollingWhee
   for (const RollingFrame& frame : rolling.frames) {
     ++placed[static_cast<std::size_t>(frame.placed_by)];
     with_tags += frame.tag_place.known > 0 ? 1 : 0;
-    const bool contradicts =
-        !frame.tag_place.why.empty() || frame.problem.starts_with("its tags contradict");
-    contradicting += contradicts ? 1 : 0;
+    contradicting += frame.tag_place.why.empty() ? 0 : 1;
     for (const int id : frame.tag_place.unknown) ++unknown[id];
   }
   std::vector<std::string> notes = {fmt::format(

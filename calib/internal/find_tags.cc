@@ -42,7 +42,8 @@ void SortById(std::vector<Tag>& tags) {
 
 }  // namespace
 
-std::vector<Tag> FindTags(const cv::Mat& image, const std::string& family, int border_bits) {
+std::vector<Tag> FindTags(const cv::Mat& image, const std::string& family, int border_bits,
+                          int corrected_bits) {
   const FamilyFunctions& functions = FunctionsOf(family);
   const std::unique_ptr<apriltag_family_t, void (*)(apriltag_family_t*)> tags_of_family(
       functions.create(), functions.destroy);
@@ -56,7 +57,7 @@ std::vector<Tag> FindTags(const cv::Mat& image, const std::string& family, int b
   }
   const std::unique_ptr<apriltag_detector_t, void (*)(apriltag_detector_t*)> detector(
       apriltag_detector_create(), apriltag_detector_destroy);
-  apriltag_detector_add_family(detector.get(), tags_of_family.get());
+  apriltag_detector_add_family_bits(detector.get(), tags_of_family.get(), corrected_bits);
   detector->quad_decimate = 1;
   detector->refine_edges = true;
   detector->nthreads = 1;
