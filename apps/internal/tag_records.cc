@@ -84,6 +84,14 @@ std::vector<std::string> TagNotes(const WheelReference& wheel, const RollingWhee
   if (rolling.twist.known) {
     notes.push_back(
         TwistNote(rolling.twist, static_cast<double>(rolling.angle_along_modes_rad.rows())));
+    constexpr double kTooFar = 3;
+    const double times = rolling.twist.corner_sigma_px / wheel.tags.sigma_px;
+    if (times > kTooFar) {
+      notes.push_back(fmt::format(
+          "The tags on the rim are seen {} px off where the wheel's reference has them, {:.0f} "
+          "times what its own frames differ by: they are on the tyre, or the cameras have moved.",
+          TwoDigits(rolling.twist.corner_sigma_px), times));
+    }
   }
   return notes;
 }

@@ -84,6 +84,9 @@ TEST(TagRecords, TellTheUserWhatHeShouldKnow) {
   EXPECT_THAT(twist, HasSubstr("0.4500 degrees"));
   EXPECT_THAT(twist, HasSubstr("changes from frame to frame"));
   EXPECT_THAT(twist, ::testing::Not(HasSubstr("calibration")));
+  tagged.wheel.tags.sigma_px = 0.01;
+  EXPECT_THAT(internal::TagNotes(tagged.wheel, rolling).back(),
+              HasSubstr("0.10 px off where the wheel's reference has them, 10 times"));
   tagged.wheel.tags = {};
   EXPECT_THAT(internal::TagNotes(tagged.wheel, rolling), IsEmpty());
 }
