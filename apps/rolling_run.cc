@@ -7,6 +7,7 @@
 #include <cmath>
 #include <list>
 #include <numbers>
+#include <stdexcept>
 #include <utility>
 
 #include "apps/internal/rolling_records.h"
@@ -14,6 +15,7 @@
 #include "apps/internal/wheel_lean.h"
 #include "apps/internal/wheel_motion.h"
 #include "calib/error.h"
+#include "track/right_flow.h"
 #include "track/rolling_starts.h"
 
 namespace plumbline {
@@ -23,12 +25,28 @@ double SecondsSince(std::chrono::steady_clock::time_point begin) {
   return std::chrono::duration<double>(std::chrono::steady_clock::now() - begin).count();
 }
 
+std::string DelayNote(const RightDelayEstimate& estimate, const RightDelay& used) {
+  constexpr double kBeyond = 4, kMs = 1e3;
+  std::string note = fmt::format(
+      "By the images the right camera exposes {:.4f} ms later than the left one, sigma {:.2g}",
+      kMs * estimate.value_s, kMs * estimate.sigma_s);
+  if (std::abs(estimate.value_s - used.value_s) >
+      kBeyond * std::hypot(estimate.sigma_s, used.sigma_s)) {
+    note += fmt::format(
+        ", but {:g} ms are taken out: heights and deflection are off by the rest (see "
+        "--right-delay)",
+        kMs * used.value_s);
+  }
+  return note + ".";
+}
+
 }  // namespace
 
 void RollingRunOptions::Check() const {
   survey.Check();
   sequence.Check();
   evaluation.Check();
+  if (right_delay) right_delay->Check();
   if (sequence.strategy == StereoStrategy::kIncremental) {
     throw UsageError(
         "A rolling tyre is measured against the wheel's reference images: the strategy is "
@@ -39,12 +57,19 @@ void RollingRunOptions::Check() const {
 
 struct RollingRun::Impl {
   Impl(WheelReference w, const RollingRunOptions& o)
-      : reference(std::move(w)), options(o), wanted(Wanted()), survey(Surveyor()) {}
+      : delay(o.right_delay            ? *o.right_delay
+              : o.estimate_right_delay ? RightDelay{}
+                                       : w.right_delay.value_or(RightDelay{})),
+        reference(std::move(w)),
+        options(o),
+        wanted(Wanted()),
+        survey(Surveyor()) {}
 
   // A view that frames are measured against.
   struct Prepared {
     std::size_t view = 0;
     std::unique_ptr<StereoSequence> sequence;
+    std::optional<RightFlow> flow;
     std::unique_ptr<SurfaceEvaluation> evaluation;
   };
 
@@ -58,6 +83,9 @@ struct RollingRun::Impl {
   }
   std::unique_ptr<RollingSurvey> Surveyor() {
     options.Check();
+    if (delay.sigma_s > 0 && reference.delay_mode < 0) {
+      throw std::invalid_argument("RollingRun: a delay with a sigma, a wheel without its mode");
+    }
     if (options.evaluation.strain_axes == "material") {
       // Material under the axis goes towards x, as the wheel rolls.
       options.evaluation.strain_options.x_around = {reference.axis.origin_in_rig_mm(),
@@ -73,13 +101,17 @@ struct RollingRun::Impl {
   void AddLean(std::size_t at, SeriesFrame* frame) const;
   std::vector<RigRotationFrame> Rotation(bool over_ground) const;  // empty: against the rig
 
+  std::optional<MatchMode> ModeOf(const Image<Eigen::Vector2d>& flow_px, double late_rad) const;
+
+  RightDelay delay;
   WheelReference reference;
   RollingRunOptions options;
   Image<std::uint8_t> wanted;
-  std::unique_ptr<RollingSurvey> survey;  // until it is done
+  std::unique_ptr<RollingSurvey> survey;  // until all is known of it
   RollingWheel rolling;
   std::optional<RollingContact> contact;
   std::optional<ChannelLean> lean;  // where there was a channel of the wheel's speed
+  RightDelayEstimate estimate;
   double threshold_mm = 0;
   std::string convention;        // of slip
   std::list<Prepared> prepared;  // the last used first
@@ -94,14 +126,27 @@ RollingRun::Impl::Prepared& RollingRun::Impl::Prepare(std::size_t view) {
   }
   while (prepared.size() >= static_cast<std::size_t>(options.views_held)) prepared.pop_back();
   const WheelReferenceView& v = reference.views[view];
-  Prepared anew{view, nullptr, nullptr};
+  Prepared anew{view, nullptr, {}, nullptr};
   anew.sequence = std::make_unique<StereoSequence>(reference.rig, v.left, v.right, options.sequence,
                                                    wanted, RightPlaceOf(reference, v));
-  anew.evaluation = std::make_unique<SurfaceEvaluation>(reference.rig, anew.sequence->reference(),
-                                                        anew.sequence->correlator().neighbours(),
-                                                        options.evaluation);
+  StereoField pair = anew.sequence->reference();
+  anew.flow.emplace(reference, pair);
+  const Image<Eigen::Vector2d> flow_px = anew.flow->Of(pair.right);
+  MoveAlong(flow_px, -reference.LateTurnOf(v), &pair.right);
+  anew.evaluation = std::make_unique<SurfaceEvaluation>(
+      reference.rig, std::move(pair), anew.sequence->correlator().neighbours(), options.evaluation,
+      ModeOf(flow_px, reference.SigmaLateTurnOf(v)));
   prepared.push_front(std::move(anew));
   return prepared.front();
+}
+
+// What a delay of the right exposure that is one sigma longer does: the matches go back by more.
+std::optional<MatchMode> RollingRun::Impl::ModeOf(const Image<Eigen::Vector2d>& flow_px,
+                                                  double late_rad) const {
+  if (reference.delay_mode < 0) return std::nullopt;
+  MatchMode mode{static_cast<std::size_t>(reference.delay_mode), flow_px};
+  for (Eigen::Vector2d& px : mode.right_px.values()) px *= -late_rad;
+  return mode;
 }
 
 RollingRun::RollingRun(WheelReference wheel, const RollingRunOptions& options)
@@ -111,6 +156,9 @@ RollingRun::~RollingRun() = default;
 
 const RollingWheel& RollingRun::wheel() const { return impl_->rolling; }
 const WheelReference& RollingRun::reference() const { return impl_->reference; }
+
+const RightDelayEstimate& RollingRun::right_delay() const { return impl_->estimate; }
+const RightDelay& RollingRun::right_delay_used() const { return impl_->delay; }
 
 bool RollingRun::Survey(ImageSource& source, const RollingProgress& progress) {
   Impl& impl = *impl_;
@@ -129,7 +177,7 @@ bool RollingRun::Survey(ImageSource& source, const RollingProgress& progress) {
     if (first_problem.empty()) first_problem = problem;
   }
   impl.rolling = impl.survey->Finish();
-  impl.survey.reset();
+  if (impl.rolling.placed() > 0) impl.survey->MoveBack(impl.delay, &impl.rolling);
   if (impl.rolling.frames.empty()) throw InputError("There are no frames to measure.");
   if (impl.rolling.placed() == 0) {
     throw InputError(fmt::format("None of the {} frames is found on the wheel; the first one: {}.",
@@ -182,6 +230,7 @@ std::vector<std::string> RollingRun::Notes() const {
                 "behind the contact; what draws all of it along cannot be told from a turn."));
     }
   }
+  if (impl_->estimate.found) notes.push_back(DelayNote(impl_->estimate, impl_->delay));
   if (!impl_->reference.closed) {
     notes.push_back(
         "The wheel's reference is not of a full turn: frames beyond its arc are not found on it.");
@@ -203,8 +252,12 @@ SeriesHeader RollingRun::Header() {
     header.contents.rig_rotation = header.contents.deformation = true;
     header.slip_convention = impl.convention;
     header.contents.wheel_channel = impl.lean.has_value();
+    if (impl.estimate.found) {
+      header.estimated_right_delay = RightDelay{impl.estimate.value_s, impl.estimate.sigma_s};
+    }
   }
   header.displacement_reference = "wheel";
+  header.right_delay = impl.delay;
   header.reference.reset();  // each view has its own
   return header;
 }
@@ -215,11 +268,17 @@ SeriesFrame RollingRun::Impl::MeasurePlaced(const StereoFrame& pair, std::size_t
   Prepared& by = Prepare(rolling.frames[at].view);
   by.sequence->Restart();
   const StereoField starts = StartsOf(rolling, at, by.sequence->reference().left);
-  const StereoField field = by.sequence->AddFrom(starts, pair.left, pair.right, pair.index);
+  StereoField field = by.sequence->AddFrom(starts, pair.left, pair.right, pair.index);
   out.match_s = SecondsSince(begin);
   out.left_counts = field.left_counts;
   out.right_counts = field.right_counts;
   BodyMotion body = internal::TurnSinceView(reference, rolling, at);
+  if (delay.any() || reference.delay_mode >= 0) {
+    const double speed_rad_s = rolling.frames[at].speed_rad_s;
+    const Image<Eigen::Vector2d> flow_px = by.flow->Of(field.right);
+    if (delay.value_s != 0) MoveAlong(flow_px, -speed_rad_s * delay.value_s, &field.right);
+    body.match_mode = ModeOf(flow_px, delay.sigma_s > 0 ? speed_rad_s * delay.sigma_s : 0);
+  }
   const std::optional<UncertainFrame> ground = GroundAt(at);
   if (ground) {
     body = internal::InGround(std::move(body), contact->frames[at].rotation.ground,
@@ -294,6 +353,21 @@ void RollingRun::FindContact(RollingContactOptions contact) {
   impl.threshold_mm = contact.patch.threshold.threshold_mm;
   impl.convention = kSlipConventionNames[static_cast<std::size_t>(contact.slip.convention)];
   impl.contact = FindRollingContact(impl.reference, impl.rolling, contact);
+  std::vector<std::uint8_t> steady;
+  for (const RollingContactFrame& frame : impl.contact->frames) {
+    steady.push_back(frame.patch.by == FramePatch::By::kLiftOff ? 1 : 0);
+  }
+  impl.estimate = EstimateRightDelay(impl.reference, impl.rolling, steady, contact.subset_px);
+  if (impl.options.estimate_right_delay) {
+    if (!impl.estimate.found) {
+      throw InputError("The right camera's delay cannot be estimated: " + impl.estimate.problem +
+                       ".");
+    }
+    impl.delay = {impl.estimate.value_s, impl.estimate.sigma_s};
+    impl.survey->MoveBack(impl.delay, &impl.rolling);
+    impl.contact = FindRollingContact(impl.reference, impl.rolling, contact);
+  }
+  impl.survey.reset();
 }
 
 StereoRunFrame RollingRun::Measure(const StereoFrame& pair, std::int64_t position) {

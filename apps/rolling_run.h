@@ -12,6 +12,8 @@
 #include "apps/surface_evaluation.h"
 #include "io/image_source.h"
 #include "io/series_writer.h"
+#include "track/right_delay.h"
+#include "track/right_delay_estimate.h"
 #include "track/rolling_contact.h"
 #include "track/rolling_survey.h"
 #include "track/wheel_reference.h"
@@ -26,6 +28,11 @@ struct RollingRunOptions {
   Image<std::uint8_t> mask;        // of the left image; empty: all of it
   // known_frame is set from the wheel; strain_axes "material" means around the wheel.
   SurfaceEvaluationOptions evaluation;
+  // Of the recording; nothing: that of the wheel's, which the same cameras have recorded. Where it
+  // has a sigma the wheel is that of WithDelayMode().
+  std::optional<RightDelay> right_delay;
+  // By what the images say (EstimateRightDelay) in place of that.
+  bool estimate_right_delay = false;
   int views_held = 3;  // reference images that are prepared at a time for the second pass
 
   // Throws UsageError naming the broken constraint.
@@ -57,13 +64,19 @@ class RollingRun {
   RollingRun(WheelReference wheel, const RollingRunOptions& options);
   ~RollingRun();
 
+  // By what the images say; after FindContact().
+  const RightDelayEstimate& right_delay() const;
+  // That is taken out of what is measured.
+  const RightDelay& right_delay_used() const;
+
   // The first pass. False: stopped. Throws InputError where no frame is on the wheel, saying why,
   // and as the source.
   bool Survey(ImageSource& source, const RollingProgress& progress);
 
   // After Survey(): the ground under the tyre, its contact and its slip in every frame; positions
   // are then told in the ground frame of their moment. What depends on the survey's points in
-  // `options` is set here. Throws as FindRollingContact().
+  // `options` is set here. Throws as FindRollingContact(), and InputError where the right camera's
+  // delay is to be estimated and cannot be.
   void FindContact(RollingContactOptions options);
 
   // The wheel's speed by the images, after Survey(); over the ground after FindContact().

@@ -22,6 +22,7 @@
 #include "calib/mode_triangulation.h"
 #include "calib/parallel.h"
 #include "calib/triangulate.h"
+#include "track/right_flow.h"
 #include "track/surface_motion.h"
 #include "track/surface_plane.h"
 
@@ -52,19 +53,6 @@ Eigen::Vector3d ParseDirection(const std::string& text) {
   return direction.normalized();
 }
 
-// Of the components of those vectors that are whole.
-Eigen::Vector3d Medians(const Image<Eigen::Vector3f>& vectors) {
-  Eigen::Vector3d medians;
-  for (int k = 0; k < 3; ++k) {
-    std::vector<double> values;
-    for (const Eigen::Vector3f& v : vectors.values()) {
-      values.push_back(static_cast<double>(v[k]));
-    }
-    medians[k] = internal::MedianOfFinite(std::move(values));
-  }
-  return medians;
-}
-
 }  // namespace
 
 void SurfaceEvaluationOptions::Check() const {
@@ -78,7 +66,7 @@ void SurfaceEvaluationOptions::Check() const {
 
 struct SurfaceEvaluation::Impl {
   Impl(const StereoRig& r, StereoField field, NeighbourCorrelation n,
-       const SurfaceEvaluationOptions& o);
+       const SurfaceEvaluationOptions& o, const std::optional<MatchMode>& match_mode);
 
   struct Previous {
     SurfaceState instant;  // in the frame
@@ -87,9 +75,10 @@ struct SurfaceEvaluation::Impl {
   };
 
   void AddModes(const StereoField& field, const internal::RigWatch::Verdict& verdict,
-                StereoSurface& surface) const;
+                const std::optional<MatchMode>& match_mode, StereoSurface& surface) const;
   StereoSurface SurfaceOf(const internal::RigWatch::Verdict& verdict, const StereoField& field,
-                          const Image<Eigen::Vector3f>& unit) const;
+                          const Image<Eigen::Vector3f>& unit,
+                          const std::optional<MatchMode>& match_mode) const;
   std::optional<GroundPlane> PlaneOf(const SurfaceState& in_rig, const Image<Eigen::Vector3f>& unit,
                                      GroundRecord& record,
                                      std::vector<GroundPlane>* along_modes) const;
@@ -132,7 +121,8 @@ struct SurfaceEvaluation::Impl {
 };
 
 SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCorrelation n,
-                              const SurfaceEvaluationOptions& o)
+                              const SurfaceEvaluationOptions& o,
+                              const std::optional<MatchMode>& match_mode)
     : rig(r),
       reference(std::move(field)),
       neighbours(std::move(n)),
@@ -149,7 +139,7 @@ SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCo
   const internal::RigWatch::Verdict verdict =
       watch.Reference(ObservationsOf(reference, unit, watch_stride));
   reference_watch = verdict.record;
-  reference_surface = SurfaceOf(verdict, reference, unit);
+  reference_surface = SurfaceOf(verdict, reference, unit, match_mode);
   if (std::none_of(reference_surface.status.values().begin(),
                    reference_surface.status.values().end(),
                    [](Status status) { return status == Status::kOk; })) {
@@ -179,6 +169,7 @@ SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCo
 // may be wrong.
 void SurfaceEvaluation::Impl::AddModes(const StereoField& field,
                                        const internal::RigWatch::Verdict& verdict,
+                                       const std::optional<MatchMode>& match_mode,
                                        StereoSurface& surface) const {
   if (modes.count() == 0) return;
   const auto count = static_cast<std::size_t>(modes.count());
@@ -196,6 +187,11 @@ void SurfaceEvaluation::Impl::AddModes(const StereoField& field,
   }
   std::vector<Eigen::Vector3f> along(places.size() * count);
   modes.Differences(left, right, along);
+  if (match_mode) {
+    std::vector<Eigen::Vector2d> right_px;
+    for (const std::size_t i : places) right_px.push_back(match_mode->right_px.data()[i]);
+    FillModeOfMatches(verdict.rig, left, right, right_px, match_mode->mode, along);
+  }
   const Eigen::Vector3f none = Eigen::Vector3f::Constant(std::numeric_limits<float>::quiet_NaN());
   std::vector<Image<Eigen::Vector3f>>& images = surface.instant.along_modes_mm;
   images.assign(count + PoseModes(), Image<Eigen::Vector3f>(size, none));
@@ -216,9 +212,10 @@ void SurfaceEvaluation::Impl::AddModes(const StereoField& field,
 
 StereoSurface SurfaceEvaluation::Impl::SurfaceOf(const internal::RigWatch::Verdict& verdict,
                                                  const StereoField& field,
-                                                 const Image<Eigen::Vector3f>& of_match) const {
+                                                 const Image<Eigen::Vector3f>& of_match,
+                                                 const std::optional<MatchMode>& match_mode) const {
   StereoSurface surface = TriangulateField(verdict.rig, field, of_match, options.epipolar);
-  AddModes(field, verdict, surface);
+  AddModes(field, verdict, match_mode, surface);
   return surface;
 }
 
@@ -343,9 +340,11 @@ SeriesFrame SurfaceEvaluation::Impl::FrameOf(const StereoField& field, const Ste
 
 SurfaceEvaluation::SurfaceEvaluation(const StereoRig& rig, StereoField reference,
                                      NeighbourCorrelation neighbours,
-                                     const SurfaceEvaluationOptions& options) {
+                                     const SurfaceEvaluationOptions& options,
+                                     const std::optional<MatchMode>& match_mode) {
   options.Check();
-  impl_ = std::make_unique<Impl>(rig, std::move(reference), std::move(neighbours), options);
+  impl_ =
+      std::make_unique<Impl>(rig, std::move(reference), std::move(neighbours), options, match_mode);
 }
 
 SurfaceEvaluation::~SurfaceEvaluation() = default;
@@ -437,7 +436,9 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s,
   const Image<Eigen::Vector3f> unit = UnitCovariance(impl.reference, field);
   const internal::RigWatch::Verdict verdict =
       impl.watch.Later(ObservationsOf(field, unit, impl.watch_stride));
-  StereoSurface surface = impl.SurfaceOf(verdict, field, unit);
+  const std::optional<MatchMode> none;
+  StereoSurface surface =
+      impl.SurfaceOf(verdict, field, unit, body != nullptr ? body->match_mode : none);
   impl.KeepReferencePoints(surface);
   if (std::none_of(surface.status.values().begin(), surface.status.values().end(),
                    [](Status status) { return status == Status::kOk; })) {
@@ -479,12 +480,13 @@ SurfaceSummary SurfaceEvaluation::Summarise(const SeriesFrame& frame) const {
   summary.valid_points = count(frame.surface.status, is_ok);
   summary.strain_points = count(frame.strain.status, is_ok);
   summary.plane_distance_mm = frame.ground.found ? frame.ground.centroid_in_rig_mm.z() : kNone;
-  summary.displacement_mm = Medians(frame.displacement.value_mm);
-  summary.sigma_random_displacement_mm = Medians(frame.displacement.sigma_random_mm);
-  summary.sigma_calibration_displacement_mm = Medians(frame.displacement.sigma_calibration_mm);
-  summary.strain = Medians(frame.strain.value);
-  summary.sigma_random_strain = Medians(frame.strain.sigma_random);
-  summary.sigma_calibration_strain = Medians(frame.strain.sigma_calibration);
+  summary.displacement_mm = internal::Medians(frame.displacement.value_mm);
+  summary.sigma_random_displacement_mm = internal::Medians(frame.displacement.sigma_random_mm);
+  summary.sigma_calibration_displacement_mm =
+      internal::Medians(frame.displacement.sigma_calibration_mm);
+  summary.strain = internal::Medians(frame.strain.value);
+  summary.sigma_random_strain = internal::Medians(frame.strain.sigma_random);
+  summary.sigma_calibration_strain = internal::Medians(frame.strain.sigma_calibration);
   return summary;
 }
 

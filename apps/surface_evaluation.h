@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <cstddef>
 #include <memory>
 #include <optional>
 #include <string>
@@ -46,6 +47,14 @@ struct SurfaceEvaluationOptions {
   void Check() const;
 };
 
+// What one standard deviation of a mode does to the right matches of a pair, where it is not of the
+// cameras but of when they expose: px, of the grid. The rig has this mode too, and stands still
+// along it.
+struct MatchMode {
+  std::size_t mode = 0;
+  Image<Eigen::Vector2d> right_px;
+};
+
 // The motion of a body since the reference pair, in the frame that positions are told in, where
 // that is known: a wheel has turned. Displacements then count from the undeformed body at its place
 // of this moment.
@@ -57,6 +66,7 @@ struct BodyMotion {
   // The frame of this moment that the result is told in, from the one that positions are told in
   // else; the motions above then lead into it.
   std::optional<MeasurementFrame> told_in = {};
+  std::optional<MatchMode> match_mode = {};  // of the pair's matches
 };
 
 // Numbers that sum one frame up, for people: medians over the valid points; NaN without any. Sigmas
@@ -77,11 +87,13 @@ struct SurfaceSummary {
 // Not thread-safe; uses all of TBB's threads, and the result does not depend on their number.
 class SurfaceEvaluation {
  public:
-  // reference: the matches of the reference pair. subset: of the grid's subsets, for neighbours.
+  // reference: the matches of the reference pair, and where they have one their own mode.
+  // neighbours: of the grid's subsets.
   // Throws UsageError from the options; InputError where no point of the reference pair has a
   // position, with what the epipolar lines say about it.
   SurfaceEvaluation(const StereoRig& rig, StereoField reference, NeighbourCorrelation neighbours,
-                    const SurfaceEvaluationOptions& options);
+                    const SurfaceEvaluationOptions& options,
+                    const std::optional<MatchMode>& match_mode = {});
   ~SurfaceEvaluation();
 
   // The header of a series that holds its frames, but for what only the run knows (ids too).

@@ -9,6 +9,7 @@
 #include <utility>
 
 #include "calib/error.h"
+#include "track/right_flow.h"
 
 namespace plumbline {
 namespace {
@@ -84,6 +85,7 @@ void WheelReferenceRunOptions::Check() const {
   if (tag_family.empty() && !rim_tags.empty()) {
     throw UsageError("Tags on the rim are tags: name their family with --tags.");
   }
+  if (right_delay) right_delay->Check();
 }
 
 WheelReferenceRun MeasureWheelReference(const StereoRig& rig,
@@ -91,6 +93,8 @@ WheelReferenceRun MeasureWheelReference(const StereoRig& rig,
                                         const WheelReferenceRunOptions& options,
                                         const WheelReferenceProgress& progress) {
   options.Check();
+  const RightDelay delay = options.right_delay.value_or(RightDelay{});
+  const WheelReference late = WithDelayMode({.rig = rig}, delay);
   WheelReferenceRun run;
   const Image<std::uint8_t> wanted = WantedPixels(rig.left.size(), options.roi, options.mask);
   WheelChainBuilder builder(rig, options.chain, wanted);
@@ -121,8 +125,13 @@ WheelReferenceRun MeasureWheelReference(const StereoRig& rig,
                          FindStereoTags(rig, pair.left, pair.right, options.tag_family)});
   };
   if (!ForEachFrame(open, "following points", progress, follow)) return run;
-  const WheelAdjustment adjusted = AdjustWheel(rig, tracks.Problem(), options.adjustment);
-  run.wheel = MakeWheelReference(rig, tracks, matches, adjusted);
+  std::vector<double> times;
+  for (const WheelFrame& frame : frames) times.push_back(frame.time_s);
+  const WheelAdjustment adjusted = AdjustLateWheel(late.rig, tracks.Problem(), times, delay,
+                                                   late.delay_mode, options.adjustment);
+  run.wheel = MakeWheelReference(late.rig, tracks, matches, adjusted);
+  run.wheel->right_delay = options.right_delay;
+  run.wheel->delay_mode = late.delay_mode;
   for (std::size_t f = 0; f < frames.size(); ++f) {
     WheelFrame& frame = run.wheel->frames[f];
     frame.index = frames[f].index;

@@ -16,10 +16,11 @@ namespace plumbline {
 struct WheelReferenceRunOptions {
   WheelChainOptions chain;
   WheelAdjustmentOptions adjustment;
-  std::optional<PixelRegion> roi;  // of the left image: where the wheel is seen
-  Image<std::uint8_t> mask;        // of the left image; empty: all of it
-  std::string tag_family;          // of the AprilTags on the wheel (TagFamilyOf); empty: none
-  std::vector<int> rim_tags;       // ids of those that are on the rim
+  std::optional<RightDelay> right_delay;  // nothing: not said, and none
+  std::optional<PixelRegion> roi;         // of the left image: where the wheel is seen
+  Image<std::uint8_t> mask;               // of the left image; empty: all of it
+  std::string tag_family;     // of the AprilTags on the wheel (TagFamilyOf); empty: none
+  std::vector<int> rim_tags;  // ids of those that are on the rim
 
   // Throws UsageError naming the broken constraint.
   void Check() const;

@@ -15,6 +15,7 @@
 #include "io/series_frame.h"
 #include "io/series_shard.h"
 #include "io/series_start.h"
+#include "track/right_delay.h"
 
 namespace plumbline {
 
@@ -57,6 +58,9 @@ struct SeriesHeader {
   int vsg_px = 0;
   double vsg_mm = 0;
   std::string slip_convention = "ISO 8855";  // attribute of /slip
+  // Attributes of /wheel: the delay of the right camera that is taken out of a rolling tyre, and
+  // what its images say of it, where they do.
+  std::optional<RightDelay> right_delay = {}, estimated_right_delay = {};
   std::vector<Channel> channels = {};
   std::optional<SeriesShard> shard = {};  // nothing: the run is whole
 };

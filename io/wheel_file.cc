@@ -80,6 +80,10 @@ void WriteAxis(Writer& out, hid_t file, const WheelReference& wheel) {
   hdf5::SetNumber(group.get(), "sigma0", wheel.sigma0);
   hdf5::SetInteger(group.get(), "observations", wheel.observations);
   hdf5::SetInteger(group.get(), "outliers", wheel.outliers);
+  if (wheel.right_delay) {
+    hdf5::SetNumber(group.get(), "right_delay_s", wheel.right_delay->value_s);
+    hdf5::SetNumber(group.get(), "sigma_right_delay_s", wheel.right_delay->sigma_s);
+  }
   const std::string order = ", of a rotation about the wheel's x, y, z (rad) and distance (mm)";
   out.Doubles("/wheel/rotation", "1", "turns wheel axes at angle 0 into those of the rig", {3, 3},
               Flat(wheel.axis.rotation));
@@ -256,6 +260,21 @@ Eigen::MatrixXd ReadMatrix(hid_t file, const std::string& path, hsize_t rows, hs
                                             static_cast<Eigen::Index>(columns));
 }
 
+// The mode of its sigma is the last one.
+void ReadDelay(hid_t group, WheelReference& wheel) {
+  constexpr double kNotSaid = 2 * RightDelay::kMost_s;
+  const RightDelay delay{hdf5::GetNumber(group, "right_delay_s", kNotSaid),
+                         hdf5::GetNumber(group, "sigma_right_delay_s", 0)};
+  if (delay.value_s == kNotSaid) return;
+  try {
+    delay.Check();
+  } catch (const UsageError& error) {
+    throw hdf5::Error(std::string("/wheel: ") + error.what());
+  }
+  wheel.right_delay = delay;
+  if (delay.sigma_s > 0) wheel.delay_mode = wheel.rig.modes.count() - 1;
+}
+
 void ReadAxis(hid_t file, WheelReference& wheel) {
   const Id group = hdf5::OpenGroup(file, "/wheel");
   wheel.closed = hdf5::GetNumber(group.get(), "closed", 0) != 0;
@@ -263,6 +282,7 @@ void ReadAxis(hid_t file, WheelReference& wheel) {
   wheel.sigma0 = hdf5::GetNumber(group.get(), "sigma0", 0);
   wheel.observations = static_cast<std::int64_t>(hdf5::GetNumber(group.get(), "observations", 0));
   wheel.outliers = static_cast<std::int64_t>(hdf5::GetNumber(group.get(), "outliers", 0));
+  ReadDelay(group.get(), wheel);
   wheel.axis.rotation = ReadMatrix(file, "/wheel/rotation", 3, 3);
   wheel.axis.distance_mm = ReadNumber(file, "/wheel/distance");
   const Eigen::Matrix3d& R = wheel.axis.rotation;

@@ -14,6 +14,7 @@
 #include "match/neighbour_correlation.h"
 #include "track/internal/axis_along_modes.h"
 #include "track/internal/turning_over_ground.h"
+#include "track/right_flow.h"
 
 namespace plumbline {
 namespace {
@@ -192,6 +193,20 @@ void ContactOfRun::AddModes(std::size_t f, const std::vector<Eigen::Vector2d>& l
   std::vector<Eigen::Vector3f> moved(n * K), view_moved(n * K);
   modes_.Differences(left, right, moved);
   modes_.Differences(view_left, view_right, view_moved);
+  if (reference_.delay_mode >= 0) {
+    const auto mode = static_cast<std::size_t>(reference_.delay_mode);
+    const double sigma_s = rolling_.right_delay.sigma_s;
+    const double late_rad = sigma_s > 0 ? frame.speed_rad_s * sigma_s : 0;
+    const double view_late_rad = reference_.SigmaLateTurnOf(view);
+    std::vector<Eigen::Vector2d> right_px, view_right_px;
+    for (const RollingPoint& p : frame.points) {
+      const Eigen::Vector3d there = rig_from_view * p.undeformed_mm;
+      right_px.push_back(-late_rad * p.right_flow_px);
+      view_right_px.push_back(-view_late_rad * RigidRightFlow(reference_, there));
+    }
+    FillModeOfMatches(reference_.rig, left, right, right_px, mode, moved);
+    FillModeOfMatches(reference_.rig, view_left, view_right, view_right_px, mode, view_moved);
+  }
   const ImageSize size = rolling_.grid;
   for (std::size_t k = 0; k < K; ++k) {
     const auto row = static_cast<Eigen::Index>(k);

@@ -16,8 +16,10 @@
 #include "track/internal/frame_rig.h"
 #include "track/internal/surface_memory.h"
 #include "track/internal/survey_grid.h"
+#include "track/internal/survey_rows.h"
 #include "track/internal/survey_tags.h"
 #include "track/internal/view_material.h"
+#include "track/right_flow.h"
 #include "track/rolling_starts.h"
 #include "track/surface_motion.h"
 #include "track/surface_state.h"
@@ -25,21 +27,9 @@
 namespace plumbline {
 namespace {
 
+using internal::TimeOf;
+
 constexpr double kTurn_rad = 2 * std::numbers::pi;
-
-// By how much the speed of a frame may be off because places disagree on the turns beside it.
-double SpeedSpread(const RollingAngles& angles, const std::vector<double>& times, std::size_t f) {
-  const auto beside = [&](std::size_t later) {
-    return later == 0 || later >= times.size()
-               ? 0
-               : angles.frames[later].turn_spread_rad / (times[later] - times[later - 1]);
-  };
-  return std::max(beside(f), beside(f + 1));
-}
-
-double TimeOf(const RollingFrame& frame) {
-  return std::isfinite(frame.time_s) ? frame.time_s : static_cast<double>(frame.index);
-}
 
 }  // namespace
 
@@ -74,6 +64,8 @@ struct RollingSurvey::Impl {
   struct Prepared {
     std::size_t view = 0;
     std::unique_ptr<StereoSequence> sequence;
+    StereoField pair;  // of the view's images, as if exposed together
+    std::optional<RightFlow> flow;
     Image<Eigen::Vector3d> material_mm;  // wheel frame; NaN where the view has no point
     Eigen::MatrixXf material_along;      // (points of the grid, K): of their MaterialAngle()
     std::optional<RelativePose> pose;    // of the cameras, where frames are held against it
@@ -91,7 +83,6 @@ struct RollingSurvey::Impl {
   void Forget(RollingFrame& frame);
   void Keep(const Prepared& prepared, const StereoField& field, RollingFrame& frame);
   void AddRow(const RollingFrame& frame, const Prepared& prepared, double rough_rad);
-  void Unwrap();
 
   const WheelReference& wheel;
   RollingSurveyOptions options;
@@ -101,8 +92,7 @@ struct RollingSurvey::Impl {
   std::vector<WheelAxis> axes_along;  // one a mode
   std::list<Prepared> prepared;       // the last used first
   std::vector<RollingFrame> frames;
-  std::vector<std::vector<RollingObservation>> observations;  // one a frame
-  std::vector<Eigen::MatrixXf> psi_along;
+  internal::SurveyRows rows;
   internal::SurfaceMemory memory;
   double found_share = 0;  // of the points that the last frame was expected to show
   ImageSize grid;          // of the points that are kept
@@ -128,17 +118,17 @@ RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
     return prepared.front();
   }
   const WheelReferenceView& v = wheel.views[view];
-  Prepared anew{view,
-                std::make_unique<StereoSequence>(wheel.rig, v.left, v.right, options.matching, mask,
-                                                 RightPlaceOf(wheel, v)),
-                {},
-                {},
-                {}};
-  const StereoField& field = anew.sequence->reference();
-  anew.material_mm = internal::MaterialOf(wheel, v, field);
+  Prepared anew;
+  anew.view = view;
+  anew.sequence = std::make_unique<StereoSequence>(wheel.rig, v.left, v.right, options.matching,
+                                                   mask, RightPlaceOf(wheel, v));
+  anew.pair = anew.sequence->reference();
+  anew.flow.emplace(wheel, anew.pair);
+  MoveAlong(anew.flow->Of(anew.pair.right), -wheel.LateTurnOf(v), &anew.pair.right);
+  anew.material_mm = internal::MaterialOf(wheel, v, anew.pair);
   anew.material_along = internal::MaterialAlongModes(wheel, v, anew.material_mm, modes, axes_along);
   if (options.refinement != PoseRefinement::kOff) {
-    anew.pose = internal::PoseOfView(wheel.rig, field);
+    anew.pose = internal::PoseOfView(wheel.rig, anew.pair);
   }
   while (prepared.size() >= static_cast<std::size_t>(options.views_held)) prepared.pop_back();
   prepared.push_front(std::move(anew));
@@ -150,8 +140,11 @@ void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, Rol
   const StereoSequence& sequence = *by.sequence;
   const Image<Eigen::Vector3d>& material = by.material_mm;
   const Image<Eigen::Vector3f> unit = UnitCovariance(sequence.reference(), field);
+  const Image<Eigen::Vector2d> flow_px = by.flow->Of(field.right);
+  internal::SurveyRows::PoseMatches& pose = rows.poses.back();
+  if (by.pose) pose = internal::SurveyRows::PoseMatches::Of(*by.pose, field, unit, flow_px);
   const StereoRig rig =
-      internal::RigOfFrame(wheel.rig, by.pose, field, unit, options.refinement, &frame);
+      internal::RigOfFrame(wheel.rig, pose.view, pose.observations, options.refinement, &frame);
   const StereoSurface surface = TriangulateField(rig, field, unit);
   const auto cov = CovarianceOf(surface.instant, unit);
   const auto usable = [&](int r, int c) {
@@ -166,13 +159,16 @@ void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, Rol
     for (int c = 0; c < material.width(); c += stride) {
       if (!usable(r, c)) continue;
       const Eigen::Vector2d pixel = field.left.PixelOf(r, c);
-      frame.points.push_back({pixel + field.left.displacement_px(r, c),
+      const Eigen::Vector2d left = pixel + field.left.displacement_px(r, c);
+      frame.points.push_back({left,
                               pixel + field.right.displacement_px(r, c),
                               surface.instant.point_mm(r, c),
                               cov(r, c),
                               material(r, c),
                               {c / stride, r / stride},
-                              r * material.width() + c});
+                              r * material.width() + c,
+                              flow_px(r, c),
+                              internal::RightPixelAt(by.pair.right, left)});
     }
   }
 }
@@ -184,7 +180,7 @@ void RollingSurvey::Impl::AddRow(const RollingFrame& frame, const Prepared& by, 
   const Rigid3 wheel_from_rig = wheel.axis.RigFromWheel(0).Inverse();
   const Eigen::Index K = static_cast<Eigen::Index>(axes_along.size());
   const std::size_t count = frame.points.size();
-  std::vector<RollingObservation>& out = observations.back();
+  std::vector<RollingObservation>& out = rows.observations.back();
   std::vector<Eigen::Vector2d> left, right;
   for (const RollingPoint& p : frame.points) {
     const Eigen::Vector3d here = wheel_from_rig * p.point_mm;
@@ -205,7 +201,7 @@ void RollingSurvey::Impl::AddRow(const RollingFrame& frame, const Prepared& by, 
     left.push_back(p.left_px);
     right.push_back(p.right_px);
   }
-  Eigen::MatrixXf& along = psi_along.back();
+  Eigen::MatrixXf& along = rows.psi_along.back();
   along.resize(static_cast<Eigen::Index>(count), K);
   if (K == 0) return;
   std::vector<Eigen::Vector3f> moved(count * axes_along.size());
@@ -332,7 +328,7 @@ void RollingSurvey::Impl::Place(const Prepared& by, const StereoField& field, do
   }
   AddRow(frame, by, rough_rad);
   std::vector<double> psi;
-  for (const RollingObservation& o : observations.back()) psi.push_back(o.psi_rad);
+  for (const RollingObservation& o : rows.observations.back()) psi.push_back(o.psi_rad);
   frame.measured_angle_rad = Median(psi);
   for (double& value : psi) value = std::abs(value - frame.measured_angle_rad);
   const double scatter = Median(std::move(psi));
@@ -355,8 +351,7 @@ void RollingSurvey::Impl::Forget(RollingFrame& frame) {
   frame.points.clear();
   frame.right_from_left.reset();
   frame.right_from_left_moved.clear();
-  observations.back().clear();
-  psi_along.back().resize(0, static_cast<Eigen::Index>(axes_along.size()));
+  rows.ClearLast();
 }
 
 RollingSurvey::RollingSurvey(const WheelReference& wheel, const RollingSurveyOptions& options,
@@ -374,8 +369,7 @@ void RollingSurvey::AddUnreadable(std::int64_t index, double time_s, const std::
   frame.status = RollingFrameStatus::kUnreadable;
   frame.problem = problem;
   impl_->frames.push_back(std::move(frame));
-  impl_->observations.emplace_back();
-  impl_->psi_along.emplace_back(0, static_cast<Eigen::Index>(impl_->axes_along.size()));
+  impl_->rows.Push(static_cast<Eigen::Index>(impl_->axes_along.size()));
 }
 
 const RollingFrame& RollingSurvey::Add(std::int64_t index, double time_s, const GrayImage& left,
@@ -385,8 +379,7 @@ const RollingFrame& RollingSurvey::Add(std::int64_t index, double time_s, const 
   RollingFrame frame;
   frame.index = index;
   frame.time_s = time_s;
-  impl.observations.emplace_back();
-  impl.psi_along.emplace_back(0, static_cast<Eigen::Index>(impl.axes_along.size()));
+  impl.rows.Push(static_cast<Eigen::Index>(impl.axes_along.size()));
   try {
     impl.Find(left, right, frame);
   } catch (const InputError& error) {
@@ -397,89 +390,26 @@ const RollingFrame& RollingSurvey::Add(std::int64_t index, double time_s, const 
   return impl.frames.back();
 }
 
-// Angles go on beyond a turn, at the speed that the wheel had.
-void RollingSurvey::Impl::Unwrap() {
-  double before_s = 0, now_s = 0, before = 0, now = 0;
-  int placed = 0;
-  for (std::size_t f = 0; f < frames.size(); ++f) {
-    RollingFrame& frame = frames[f];
-    if (frame.status != RollingFrameStatus::kPlaced) continue;
-    const double t = TimeOf(frame);
-    double expected = now;
-    if (placed > 1 && now_s > before_s) {
-      expected += (now - before) / (now_s - before_s) * (t - now_s);
-    }
-    const double first = frame.measured_angle_rad;
-    frame.measured_angle_rad = placed == 0 ? first - kTurn_rad * std::floor(first / kTurn_rad)
-                                           : expected + std::remainder(first - expected, kTurn_rad);
-    for (RollingObservation& o : observations[f]) o.psi_rad += frame.measured_angle_rad - first;
-    before = now;
-    before_s = now_s;
-    now = frame.measured_angle_rad;
-    now_s = t;
-    ++placed;
-  }
-}
-
 RollingWheel RollingSurvey::Finish() {
   Impl& impl = *impl_;
   impl.prepared.clear();
-  impl.Unwrap();
+  impl.rows.Unwrap(&impl.frames);
   RollingWheel out;
   out.frames = std::move(impl.frames);
   out.grid = impl.grid;
   out.first_px = impl.first_px;
   out.spacing_px = impl.spacing_px;
   impl.frames.clear();
-  const std::size_t n = out.frames.size();
-  bool clock = true;
-  for (const RollingFrame& frame : out.frames) clock = clock && std::isfinite(frame.time_s);
-  std::vector<double> times, angles, sigmas;
-  for (const RollingFrame& frame : out.frames) {
-    times.push_back(clock ? frame.time_s : static_cast<double>(frame.index));
-  }
-  out.deformation =
-      FindRollingAngles(impl.observations, impl.psi_along, impl.options.angles, times);
-  out.sigma_common_rad = out.deformation.sigma_common_rad;
-  for (std::size_t f = 0; f < n; ++f) {
-    RollingFrame& frame = out.frames[f];
-    if (frame.status != RollingFrameStatus::kPlaced) continue;
-    frame.measured_angle_rad = out.deformation.frames[f].angle_rad;
-    frame.sigma_measured_rad = out.deformation.frames[f].sigma_rad;
-  }
-  const Eigen::MatrixXd along = internal::HoldToTags(impl.wheel, out);
-  for (const RollingFrame& frame : out.frames) {
-    angles.push_back(frame.measured_angle_rad);
-    sigmas.push_back(frame.sigma_measured_rad);
-  }
-  const SmoothedAngles smooth = SmoothAngles(times, angles, sigmas, along, impl.options.smoother);
-  out.angle_along_modes_rad = smooth.angle_along_rad;
-  out.speed_along_modes_rad_s = smooth.speed_along_rad_s;
-  out.jerk_rad_s25 = smooth.jerk_rad_s25;
-  out.scatter = smooth.scatter;
-  const bool modes = out.angle_along_modes_rad.rows() > 0;
-  for (std::size_t f = 0; f < n; ++f) {
-    RollingFrame& frame = out.frames[f];
-    const auto column = static_cast<Eigen::Index>(f);
-    if (frame.status != RollingFrameStatus::kPlaced) {
-      out.angle_along_modes_rad.col(column).setConstant(RollingFrame::kNone);
-      out.speed_along_modes_rad_s.col(column).setConstant(RollingFrame::kNone);
-      continue;
-    }
-    const SmoothedAngle& s = smooth.frames[f];
-    frame.angle_rad = s.angle_rad;
-    frame.sigma_random_rad = s.sigma_angle_rad;
-    frame.lean = s.lean;
-    frame.outlier = s.outlier;
-    frame.sigma_measured_rad *= smooth.scatter;
-    if (modes) frame.sigma_calibration_rad = out.angle_along_modes_rad.col(column).norm();
-    if (!clock) continue;
-    frame.speed_rad_s = s.speed_rad_s;
-    frame.sigma_random_rad_s =
-        std::hypot(s.sigma_speed_rad_s, SpeedSpread(out.deformation, times, f));
-    if (modes) frame.sigma_calibration_rad_s = out.speed_along_modes_rad_s.col(column).norm();
-  }
+  impl.rows.FindAngles(impl.wheel, impl.options.angles, impl.options.smoother, &out);
   return out;
+}
+
+void RollingSurvey::MoveBack(const RightDelay& delay, RollingWheel* rolling) {
+  delay.Check();
+  if (!delay.any()) return;
+  Impl& impl = *impl_;
+  impl.rows.MoveBack(impl.wheel, delay, impl.options.refinement, rolling);
+  impl.rows.FindAngles(impl.wheel, impl.options.angles, impl.options.smoother, rolling);
 }
 
 }  // namespace plumbline

@@ -60,6 +60,10 @@ struct RollingPoint {
   Eigen::Vector3d undeformed_mm;              // wheel frame
   Eigen::Vector2i at{0, 0};                   // (column, row) on RollingWheel::grid
   int place = 0;                              // row * columns + column, of those matched
+  // How the right pixel goes as the wheel turns (RightFlow; px a radian).
+  Eigen::Vector2d right_flow_px = Eigen::Vector2d::Zero();
+  // The right pixel of what the view shows at left_px; NaN where it has no points around that.
+  Eigen::Vector2d view_right_px = Eigen::Vector2d::Zero();
 };
 
 // The angle about the wheel's axis of a place in the wheel frame, 0 at the bottom (-z), growing
@@ -120,6 +124,7 @@ struct RollingWheel {
   // Known where tags on the rim are seen: then all angles are the rim's, and sigma_common_rad is of
   // the tags. `deformation` is as the surface alone tells it.
   CarcassTwist twist;
+  RightDelay right_delay = {};  // that is taken out of the points, with its sigma
 
   int placed() const;
 };
@@ -135,7 +140,7 @@ struct RollingWheel {
 // left out; its angle is not guessed, though the smoother could. Tags on the rim tell the wheel's
 // own angle (HoldToRim).
 //
-// Memory: about 120 bytes a point kept and what the prepared views take.
+// Memory: about 150 bytes a point kept and what the prepared views take.
 // Calibration: along a mode the points of a frame, those of the reference image, the axis and the
 // view's angle all change; with the weights held all steps are linear.
 //
@@ -156,6 +161,12 @@ class RollingSurvey {
   void AddUnreadable(std::int64_t index, double time_s, const std::string& problem);
 
   RollingWheel Finish();
+
+  // After Finish(), once: right pixels, points and angles as they would be, had the right camera
+  // exposed with the left one; and with a sigma what that does to the angles along
+  // WheelReference::delay_mode. Throws UsageError from the delay, InputError where a frame that is
+  // placed has no time.
+  void MoveBack(const RightDelay& delay, RollingWheel* rolling);
 
  private:
   struct Impl;

@@ -168,7 +168,9 @@ class Adjustment {
     out.along_modes = Eigen::MatrixXd::Zero(modes, equations_.core_size());
     out.points_along_modes_mm.assign(out.points_mm.size(), Eigen::Matrix3Xd::Zero(3, modes));
     for (int k = 0; k < modes; ++k) {
-      const std::vector<Eigen::Vector2d> change = equations_.ChangeFor(rig_.AlongMode(k));
+      const std::vector<Eigen::Vector2d> change =
+          k == problem_.late_mode ? equations_.ChangeForLater(problem_.sigma_late_rad)
+                                  : equations_.ChangeFor(rig_.AlongMode(k));
       const WheelEquations::Step step =
           equations_.Solve([&](std::size_t i) -> const Eigen::Vector2d& { return change[i]; });
       out.along_modes.row(k) = step.core.transpose();
@@ -247,6 +249,41 @@ WheelAdjustment AdjustWheel(const StereoRig& rig, const WheelProblem& problem,
     throw InputError("wheel adjustment: there is no observation");
   }
   return Adjustment(rig, problem, options).Run();
+}
+
+std::vector<double> TurningSpeeds(std::span<const double> angles_rad,
+                                  std::span<const double> times_s) {
+  std::vector<double> speeds(angles_rad.size(), kNone);
+  const auto known = [&](std::size_t f) {
+    return f < angles_rad.size() && std::isfinite(angles_rad[f]) && std::isfinite(times_s[f]);
+  };
+  for (std::size_t f = 0; f < speeds.size(); ++f) {
+    const std::size_t from = f > 0 && known(f - 1) ? f - 1 : f, to = known(f + 1) ? f + 1 : f;
+    if (!known(f) || from == to) continue;
+    speeds[f] = (angles_rad[to] - angles_rad[from]) / (times_s[to] - times_s[from]);
+  }
+  return speeds;
+}
+
+WheelAdjustment AdjustLateWheel(const StereoRig& rig, WheelProblem problem,
+                                std::span<const double> times_s, const RightDelay& delay,
+                                int delay_mode, const WheelAdjustmentOptions& options) {
+  delay.Check();
+  WheelAdjustment first = AdjustWheel(rig, problem, options);
+  if (!delay.any()) return first;
+  const std::vector<double> speeds = TurningSpeeds(first.angles_rad, times_s);
+  for (std::size_t f = 0; f < speeds.size(); ++f) {
+    if (std::isfinite(first.angles_rad[f]) && !std::isfinite(speeds[f])) {
+      throw InputError(
+          "how far the wheel turns until the right camera exposes is not known: the frames need "
+          "times, and each one a neighbour on the wheel");
+    }
+    const double speed = std::isfinite(speeds[f]) ? speeds[f] : 0;
+    problem.late_rad.push_back(speed * delay.value_s);
+    problem.sigma_late_rad.push_back(speed * delay.sigma_s);
+  }
+  problem.late_mode = delay_mode;
+  return AdjustWheel(rig, problem, options);
 }
 
 }  // namespace plumbline

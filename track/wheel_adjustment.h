@@ -7,6 +7,7 @@
 
 #include "calib/stereo_rig.h"
 #include "fit/wheel_axis.h"
+#include "track/right_delay.h"
 
 namespace plumbline {
 
@@ -38,7 +39,17 @@ struct WheelProblem {
   std::vector<double> angles_rad;          // one a frame
   std::vector<Eigen::Vector3d> points_mm;  // wheel frame
   std::vector<WheelObservation> observations;
+  // How far the wheel turns on in each frame until the right camera exposes, and how sure that is:
+  // what one sigma of the mode late_mode of the rig does, in place of what it does to the cameras
+  // (-1: none does). Empty: both expose together.
+  std::vector<double> late_rad = {}, sigma_late_rad = {};
+  int late_mode = -1;
 };
+
+// How fast the wheel turns in each frame, by the frames beside it (or the one; rad/s); NaN where
+// the frame or both beside it have no angle or time. Sizes as given: one time an angle.
+[[nodiscard]] std::vector<double> TurningSpeeds(std::span<const double> angles_rad,
+                                                std::span<const double> times_s);
 
 struct WheelAdjustmentOptions {
   double loss_scale_sigmas = 2.0;  // of Cauchy's loss, over the scatter of the residuals
@@ -102,5 +113,13 @@ struct WheelAdjustment {
 // Accuracy: tests/track/wheel_adjustment_test.cc.
 [[nodiscard]] WheelAdjustment AdjustWheel(const StereoRig& rig, const WheelProblem& problem,
                                           const WheelAdjustmentOptions& options = {});
+
+// The same with a right camera that exposes later: adjusted as if it did not, which tells how fast
+// the wheel turns in each frame, and again with that. times_s: of the frames. Throws InputError
+// where a frame that is placed has no speed.
+[[nodiscard]] WheelAdjustment AdjustLateWheel(const StereoRig& rig, WheelProblem problem,
+                                              std::span<const double> times_s,
+                                              const RightDelay& delay, int delay_mode,
+                                              const WheelAdjustmentOptions& options = {});
 
 }  // namespace plumbline

@@ -136,6 +136,25 @@ double WheelReference::largest_angle_rad() const {
   return largest;
 }
 
+double WheelReference::SpeedOf(int frame) const {
+  std::vector<double> angles, times;
+  for (const WheelFrame& f : frames) {
+    angles.push_back(f.angle_rad);
+    times.push_back(f.time_s);
+  }
+  return TurningSpeeds(angles, times)[static_cast<std::size_t>(frame)];
+}
+
+double WheelReference::LateTurnOf(const WheelReferenceView& view) const {
+  if (!right_delay || right_delay->value_s == 0) return 0;
+  return SpeedOf(view.frame) * right_delay->value_s;
+}
+
+double WheelReference::SigmaLateTurnOf(const WheelReferenceView& view) const {
+  if (!right_delay || right_delay->sigma_s == 0) return 0;
+  return SpeedOf(view.frame) * right_delay->sigma_s;
+}
+
 WheelReference MakeWheelReference(const StereoRig& rig, const WheelTracks& tracks,
                                   const std::vector<WheelFrameMatches>& matches,
                                   const WheelAdjustment& adjusted) {

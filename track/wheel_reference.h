@@ -4,6 +4,7 @@
 #include <array>
 #include <cstdint>
 #include <limits>
+#include <optional>
 #include <string>
 #include <string_view>
 #include <vector>
@@ -12,6 +13,7 @@
 #include "calib/stereo_rig.h"
 #include "fit/wheel_axis.h"
 #include "match/feature_index.h"
+#include "track/right_delay.h"
 #include "track/wheel_adjustment.h"
 #include "track/wheel_profile.h"
 #include "track/wheel_tags.h"
@@ -71,8 +73,18 @@ struct WheelReference {
   WheelProfile profile = {};
   std::vector<WheelReferenceView> views = {};  // by angle
   WheelTags tags = {};
+  // Of the recording, where it was said; it is taken out of the points, not of the images.
+  std::optional<RightDelay> right_delay = {};
+  int delay_mode = -1;  // the mode of rig.modes that is one sigma of the delay; -1: there is none
 
   double largest_angle_rad() const;
+  // Of the wheel in a frame, from the frames beside it (rad/s); NaN where these are not placed or
+  // have no time.
+  double SpeedOf(int frame) const;
+  // How far the wheel turned from the left exposure of a view to the right one, by the delay that
+  // was said, and the sigma of that; 0 where none was.
+  double LateTurnOf(const WheelReferenceView& view) const;
+  double SigmaLateTurnOf(const WheelReferenceView& view) const;
 };
 
 // What the adjustment of a recording says. matches: of each frame, in order. The frames' index is

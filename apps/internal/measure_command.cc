@@ -11,6 +11,7 @@
 #include "apps/internal/channel_options.h"
 #include "apps/internal/command.h"
 #include "apps/internal/contact_options.h"
+#include "apps/internal/delay_options.h"
 #include "apps/internal/measure_flow.h"
 #include "apps/internal/measure_report.h"
 #include "apps/internal/recording_options.h"
@@ -28,6 +29,7 @@
 #include "io/image_source.h"
 #include "io/series_shard.h"
 #include "io/series_writer.h"
+#include "track/right_flow.h"
 
 namespace plumbline::internal {
 namespace {
@@ -42,7 +44,8 @@ struct Measurement {
   std::function<std::int64_t(std::int64_t)> first_to_measure;
   std::int64_t block_frames = 1;  // between places where a recording can be cut
   std::vector<std::string> notes;
-  std::vector<fs::path> inputs;  // that are read besides those of the frames
+  std::vector<fs::path> inputs;                    // that are read besides those of the frames
+  nlohmann::json more = nlohmann::json::object();  // to report beside the frames
 };
 
 // Images of a wrong size are refused as long as nothing was measured: then the rig is not theirs.
@@ -106,6 +109,7 @@ class MeasureCommand : public Command {
                                      std::vector<Channel>* channels) const;
   StereoRunOptions DicOptions(std::uint64_t seed, int bits) const;
   void CheckRolling() const;
+  WheelReference Wheel() const;
   RigInput Rig() const;
   StereoFrame ReferencePair(std::vector<fs::path>* files) const;
   std::optional<CommandReport> FinishedBefore(const fs::path& output,
@@ -121,6 +125,7 @@ class MeasureCommand : public Command {
   StereoOptionSet dic_;
   RollingOptionSet rolling_;
   ContactOptionSet contact_;
+  DelayOptionSet delay_;
   EvaluationOptionSet evaluation_;
 };
 
@@ -128,6 +133,7 @@ void MeasureCommand::Declare(OptionTable& options) {
   recording_.Declare(options, false);
   rolling_.Declare(options);
   contact_.Declare(options);
+  delay_.Declare(options, "as the wheel's file says", true);
   options.Add(
       {.name = "output", .help = "where the result goes", .unit = "FILE", .short_name = "o"},
       &output_);
@@ -307,7 +313,12 @@ Measurement MeasureCommand::Dic(const RigInput& rig, std::uint64_t seed) const {
 }
 
 void MeasureCommand::CheckRolling() const {
+  (void)delay_.Delay();
   if (!rolling_.given()) {
+    if (delay_.given()) {
+      throw UsageError(
+          "--right-delay is for a rolling tyre, whose motion --reference tells; leave it out.");
+    }
     if (recording_.has_rig()) return;
     throw UsageError(
         "--rig is missing: give the calibrated rig, or the wheel of a rolling tyre with "
@@ -326,15 +337,25 @@ void MeasureCommand::CheckRolling() const {
   }
 }
 
+// With the modes of what may be wrong beside the calibration; the carcass's are the last ones.
+WheelReference MeasureCommand::Wheel() const {
+  WheelReference wheel = rolling_.Wheel();
+  RightDelay delay = delay_.Delay().value_or(wheel.right_delay.value_or(RightDelay{}));
+  // How sure an estimate is shows later.
+  if (delay_.estimate() && wheel.rig.modes.count() > 0) delay.sigma_s = RightDelay::kMost_s;
+  return contact_.WithCarcass(WithDelayMode(std::move(wheel), delay));
+}
+
 // The first pass over a rolling tyre. Nothing: stopped.
 std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common,
                                                    std::vector<Channel>* channels) const {
   contact_.CheckChannels(*channels);
   std::vector<fs::path> files;
   const int bits = ReferencePair(&files).left.bits;
-  const auto run = std::make_shared<RollingRun>(
-      contact_.WithCarcass(rolling_.Wheel()),
-      rolling_.Options(DicOptions(common.seed, bits), dic_.order_given()));
+  RollingRunOptions options = rolling_.Options(DicOptions(common.seed, bits), dic_.order_given());
+  options.right_delay = delay_.Delay();
+  options.estimate_right_delay = delay_.estimate();
+  const auto run = std::make_shared<RollingRun>(Wheel(), options);
   RollingContactOptions contact = contact_.Options(run->reference().profile.crown_y_mm);
   const auto source = recording_.Open();
   std::optional<Progress> progress(std::in_place, "finding the wheel", source->DeclaredCount(),
@@ -348,6 +369,7 @@ std::optional<Measurement> MeasureCommand::Rolling(const CommonOptions& common,
   const std::string clock = FindContact(contact_, std::move(contact), *run, channels);
   Measurement out{run->Header(), {}, {}, 1, run->Notes(), files};
   if (!clock.empty()) out.notes.push_back(clock);
+  out.more["right_delay_ms"] = JsonOf(run->right_delay_used(), run->right_delay());
   out.measure = [run](const StereoFrame& pair, std::int64_t position) {
     return Reported(run->Measure(pair, position));
   };
@@ -490,6 +512,7 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
   std::vector<std::string> all = measurement.notes;
   all.insert(all.end(), notes.begin(), notes.end());
   result.json["notes"] = all;
+  result.json.update(measurement.more);
   return result;
 }
 

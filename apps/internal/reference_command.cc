@@ -9,6 +9,7 @@
 #include <vector>
 
 #include "apps/internal/command.h"
+#include "apps/internal/delay_options.h"
 #include "apps/internal/field_options.h"
 #include "apps/internal/recording_options.h"
 #include "apps/internal/result_file.h"
@@ -57,6 +58,7 @@ class ReferenceCommand : public Command {
   bool overwrite_ = false;
   double spacing_share_ = WheelChainOptions().least_seen_share;
   FieldOptionSet matching_{kSubset_px};
+  DelayOptionSet delay_;
 };
 
 void ReferenceCommand::Declare(OptionTable& options) {
@@ -97,6 +99,7 @@ void ReferenceCommand::Declare(OptionTable& options) {
                        "whatever the tyre does; empty: all are on the tyre",
                .unit = "IDS"},
               &rim_tags_);
+  delay_.Declare(options, "both expose together", false);
   matching_.Declare(options);
   recording_.DeclareForeign(options);
 }
@@ -140,6 +143,7 @@ WheelReferenceRunOptions ReferenceCommand::Options(std::uint64_t seed, int bits)
     matching.field.correlator.noise = ReadCameraNoise(matching_.noise(), "left").ForBits(bits);
     matching.right_noise = ReadCameraNoise(matching_.noise(), "right").ForBits(bits);
   }
+  options.right_delay = delay_.Delay();
   if (!roi_.empty()) options.roi = PixelRegion::Parse(roi_);
   if (!mask_.empty()) options.mask = ReadMask(mask_);
   if (!tags_.empty()) options.tag_family = TagFamilyOf(tags_);

@@ -43,6 +43,19 @@ std::string PlacementText(const PlacementRecord& placement) {
 
 }  // namespace
 
+nlohmann::json JsonOf(const RightDelay& used, const RightDelayEstimate& estimate) {
+  constexpr double kMs = 1e3;
+  nlohmann::json json{{"used", kMs * used.value_s}, {"sigma", kMs * used.sigma_s}};
+  if (estimate.found) {
+    json["estimated"] = kMs * estimate.value_s;
+    json["sigma_estimated"] = kMs * estimate.sigma_s;
+    json["frames"] = estimate.frames;
+  } else {
+    json["problem"] = estimate.problem;
+  }
+  return json;
+}
+
 std::optional<RollingReport> RollingReportOf(const SeriesFrame& frame) {
   if (!frame.rig_rotation.found && frame.rig_rotation.problem.empty()) return std::nullopt;
   RollingReport report{frame.wheel,       frame.placement, frame.rig_rotation,

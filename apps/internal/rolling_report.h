@@ -5,6 +5,8 @@
 #include <string>
 
 #include "io/series_frame.h"
+#include "track/right_delay.h"
+#include "track/right_delay_estimate.h"
 
 namespace plumbline::internal {
 
@@ -17,6 +19,9 @@ struct RollingReport {
   PatchRecord patch;  // without its contour
   SlipRecord slip;    // without the points
 };
+
+// The delay that is taken out of a run and what its images say of it, in ms.
+nlohmann::json JsonOf(const RightDelay& used, const RightDelayEstimate& estimate);
 
 // Nothing where the frame is of no rolling tyre.
 std::optional<RollingReport> RollingReportOf(const SeriesFrame& frame);

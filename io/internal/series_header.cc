@@ -38,6 +38,17 @@ void WriteGroupAttributes(hid_t file, const SeriesHeader& header) {
     const Id group = hdf5::CreateGroup(file, "/slip");
     hdf5::SetText(group.get(), "convention", header.slip_convention);
   }
+  if (header.right_delay) {
+    const Id group = hdf5::CreateGroup(file, "/wheel");
+    hdf5::SetNumber(group.get(), "right_delay_s", header.right_delay->value_s);
+    hdf5::SetNumber(group.get(), "sigma_right_delay_s", header.right_delay->sigma_s);
+    if (header.estimated_right_delay) {
+      hdf5::SetNumber(group.get(), "estimated_right_delay_s",
+                      header.estimated_right_delay->value_s);
+      hdf5::SetNumber(group.get(), "sigma_estimated_right_delay_s",
+                      header.estimated_right_delay->sigma_s);
+    }
+  }
 }
 
 void WriteChannel(hid_t file, const Channel& channel) {

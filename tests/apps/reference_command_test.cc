@@ -124,6 +124,14 @@ TEST_F(ReferenceCommand, SaysWhatIsWrong) {
     EXPECT_EQ(wrong.exit_code, 2) << ids;
     EXPECT_THAT(wrong.output, HasSubstr("0,3,7-9")) << ids;
   }
+  for (const char* delay : {"late", "0.02,", "0.02,0.001,3", "2", "0.02,-1", "estimate"}) {
+    const CommandResult wrong = RunPlumbline(Arguments(std::string("-q --right-delay ") + delay));
+    EXPECT_EQ(wrong.exit_code, 2) << delay;
+    EXPECT_THAT(wrong.output, HasSubstr("right camera")) << delay;
+  }
+  const CommandResult sure = RunPlumbline(Arguments("-q --right-delay 0.02,0.001"));
+  EXPECT_EQ(sure.exit_code, 2);
+  EXPECT_THAT(sure.output, HasSubstr("leave the sigma out"));  // this rig has no modes
   const CommandResult still = RunPlumbline(Arguments("-q --frames 2"));
   EXPECT_EQ(still.exit_code, 3);
   EXPECT_THAT(still.output, HasSubstr("does not turn"));

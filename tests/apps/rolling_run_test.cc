@@ -296,6 +296,9 @@ TEST_F(RollingTyre, IsMeasuredByTheCommand) {
   refused("--reference-frame 0 --reference " + path("wheel.h5"), 2, "--reference-frame");
   const std::string wheel = "--reference " + path("wheel.h5");
   refused(wheel + " --carcass 20,20", 2, "thickness in mm");
+  refused(wheel + " --right-delay 0.02ms", 2, "estimate");
+  refused(wheel + " --right-delay 0.02", 3, "--fps");
+  refused("--rig " + path("rig.h5") + " --right-delay 0.02", 2, "rolling tyre");
   refused(wheel + " --carcass=10:20,-10:20", 2, "ascend");
   refused(wheel + " --ground-turns 157", 2, "three angles");
   refused(wheel + " --obstacle-height 0", 2, "above 0");

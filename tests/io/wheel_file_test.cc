@@ -87,6 +87,25 @@ bool SameBits(const Image<T>& a, const Image<T>& b) {
   return a.size() == b.size() && std::memcmp(a.data(), b.data(), a.pixel_count() * sizeof(T)) == 0;
 }
 
+TEST(WheelFile, SaysHowLateTheRightCameraWas) {
+  const fs::path file = TestFolder() / "wheel.h5";
+  WheelReference wheel = Wheel(8);
+  WriteWheelFile(file, wheel, "", {});
+  EXPECT_FALSE(ReadWheelFile(file).right_delay.has_value());
+  EXPECT_EQ(ReadWheelFile(file).delay_mode, -1);
+  wheel.right_delay = {2e-5, 1e-6};
+  wheel.delay_mode = wheel.rig.modes.count() - 1;
+  WriteWheelFile(file, wheel, "", {});
+  const WheelReference back = ReadWheelFile(file);
+  ASSERT_TRUE(back.right_delay.has_value());
+  EXPECT_EQ(back.right_delay->value_s, 2e-5);
+  EXPECT_EQ(back.right_delay->sigma_s, 1e-6);
+  EXPECT_EQ(back.delay_mode, wheel.delay_mode);
+  wheel.right_delay->value_s = 0.1;
+  WriteWheelFile(file, wheel, "", {});
+  EXPECT_THROW((void)ReadWheelFile(file), InputError);
+}
+
 TEST(WheelFile, ReadsBackTheSameBits) {
   for (const int bits : {8, 12}) {
     const fs::path file = TestFolder() / "wheel.h5";

@@ -6,11 +6,13 @@
 #include <cmath>
 
 #include "calib/error.h"
+#include "calib/triangulate.h"
 #include "io/virtual_rig/tyre_patch.h"
 #include "tests/support/true_wheel.h"
 #include "tests/track/lifted_wheel.h"
 #include "track/carcass_modes.h"
 #include "track/internal/turning_over_ground.h"
+#include "track/right_flow.h"
 
 namespace plumbline {
 namespace {
@@ -178,6 +180,41 @@ TEST_F(RollingContactOfAnArc, CountsTheErrorsOfTheCarcassBesideThoseOfTheCalibra
   EXPECT_LT(std::abs(off.frames[3].patch.patch.area_mm2 - patch.patch.area_mm2),
             3 * patch.sigma_calibration[0]);
   EXPECT_GT(found.frames[3].deformation.loaded_radius_mm.sigma_calibration(), 0.03);
+}
+
+// A right camera that is later by one sigma than was taken out moves the height by as much as the
+// mode of the delay says, and what follows from it.
+TEST_F(RollingContactOfAnArc, CountsTheErrorOfTheRightCamerasDelay) {
+  constexpr double kSigma_s = 1e-5;
+  WheelReference wheel = *reference_;
+  wheel.rig.modes.modes = Eigen::MatrixXd::Zero(1, wheel.rig.ParameterCount());
+  wheel.axis_along_modes = Eigen::MatrixXd::Zero(1, 4);
+  wheel.angles_along_modes_rad =
+      Eigen::MatrixXd::Zero(1, static_cast<Eigen::Index>(wheel.frames.size()));
+  wheel = WithDelayMode(std::move(wheel), {0, kSigma_s});
+  RollingWheel survey = *survey_;
+  survey.right_delay = {0, kSigma_s};
+  survey.angle_along_modes_rad =
+      Eigen::MatrixXd::Zero(2, static_cast<Eigen::Index>(survey.frames.size()));
+  const RollingContact found = FindRollingContact(wheel, survey, Options());
+  for (RollingFrame& frame : survey.frames) {
+    for (RollingPoint& p : frame.points) {
+      p.right_px -= frame.speed_rad_s * kSigma_s * p.right_flow_px;
+      p.point_mm = Triangulate(wheel.rig, {p.left_px, p.right_px}).point_in_rig;
+    }
+  }
+  const RollingContact later = FindRollingContact(wheel, survey, Options());
+  ASSERT_TRUE(found.found && later.found);
+  const RigRotationFrame& here = found.frames[3].rotation;
+  ASSERT_EQ(here.along_modes.size(), 2U);
+  EXPECT_LT(here.along_modes[0].norm(), 1e-6);
+  const RigPose change = later.frames[3].rotation.pose - here.pose;
+  EXPECT_GT(std::abs(change[2]), 0.01);
+  EXPECT_NEAR(here.along_modes[1][2], change[2], 0.1 * std::abs(change[2]));
+  const WheelDeformation &now = found.frames[3].deformation, &then = later.frames[3].deformation;
+  const double shift = then.deflection_mm.value - now.deflection_mm.value;
+  EXPECT_GT(std::abs(shift), 0.01);
+  EXPECT_NEAR(now.deflection_mm.sigma_calibration(), std::abs(shift), 0.15 * std::abs(shift));
 }
 
 TEST_F(RollingContactOfAnArc, RefusesACarcassWithoutThickness) {

@@ -118,6 +118,34 @@ TEST_F(RollingSurveyOfAnArc, FindsTheAnglesOfALoadedTyreAndMarksWhatIsNotIt) {
   EXPECT_NEAR(deepest, -18, 1.5);
 }
 
+TEST_F(RollingSurveyOfAnArc, MovesBackWhatALateRightCameraSaw) {
+  Scenario late = Loaded();
+  late.right_delay_s = 2e-4;
+  LiftedWheel wheel(late);
+  RollingSurvey survey(*reference_, Options());
+  for (int f = 0; f < 3; ++f) {
+    (void)survey.Add(f, wheel.virtual_rig().FrameTime(f), wheel.Pair(f).left, wheel.Pair(f).right);
+  }
+  RollingWheel rolling = survey.Finish();
+  // How far the points are from where they are, along the line of sight: mean.
+  const auto too_near = [&] {
+    const auto truth = wheel.virtual_rig().Truth(1);
+    const Rigid3 rig_from_ground = truth->ground_from_rig().Inverse();
+    double sum = 0;
+    for (const RollingPoint& p : rolling.frames[1].points) {
+      const auto point = truth->UnderLeftPixel(p.left_px);
+      if (point) sum += (rig_from_ground * point->position_mm - p.point_mm).z();
+    }
+    return sum / static_cast<double>(rolling.frames[1].points.size());
+  };
+  ASSERT_EQ(rolling.placed(), 3);
+  EXPECT_GT(std::abs(too_near()), 0.3);
+  survey.MoveBack({2e-4, 0}, &rolling);
+  EXPECT_LT(std::abs(too_near()), 0.03);
+  EXPECT_EQ(rolling.right_delay.value_s, 2e-4);
+  EXPECT_THROW(survey.MoveBack({1, 0}, &rolling), UsageError);
+}
+
 TEST_F(RollingSurveyOfAnArc, FollowsARightCameraThatVibrates) {
   Scenario shaken = Loaded();
   shaken.motion.vibration_rad = 0.05 * kDegrees;

@@ -16,24 +16,28 @@ int StrideOf(const StereoField& field) {
 
 }  // namespace
 
+std::vector<StereoObservation> FarApart(const StereoField& field,
+                                        const Image<Eigen::Vector3f>& unit_covariance) {
+  return ObservationsOf(field, unit_covariance, StrideOf(field));
+}
+
 std::optional<RelativePose> PoseOfView(const StereoRig& rig, const StereoField& field) {
   try {
-    return PoseOfPair(rig, ObservationsOf(field, UnitCovariance(field, field), StrideOf(field)));
+    return PoseOfPair(rig, FarApart(field, UnitCovariance(field, field)));
   } catch (const InputError&) {
     return std::nullopt;
   }
 }
 
 StereoRig RigOfFrame(const StereoRig& rig, const std::optional<RelativePose>& view,
-                     const StereoField& field, const Image<Eigen::Vector3f>& unit_covariance,
-                     PoseRefinement refinement, RollingFrame* frame) {
+                     std::span<const StereoObservation> observations, PoseRefinement refinement,
+                     RollingFrame* frame) {
   frame->right_from_left.reset();
   frame->right_from_left_moved.clear();
   if (!view) return rig;
   StereoRig now = rig;
   try {
-    const CameraMotion motion =
-        MotionSince(rig, *view, ObservationsOf(field, unit_covariance, StrideOf(field)));
+    const CameraMotion motion = MotionSince(rig, *view, observations);
     if (!motion.moved && refinement != PoseRefinement::kAlways) return rig;
     now.right_from_left = WithBaselineOf(rig, PoseAfter(motion.since.change, rig.right_from_left));
     for (const auto& error : ErrorsOfMotion(motion.since.cov_random, rig.baseline_mm())) {

@@ -2,8 +2,11 @@
 
 #include <Eigen/Core>
 #include <optional>
+#include <span>
+#include <vector>
 
 #include "calib/stereo_rig.h"
+#include "calib/triangulate.h"
 #include "match/stereo_sequence.h"
 #include "track/camera_motion.h"
 #include "track/rolling_survey.h"
@@ -18,9 +21,13 @@ namespace plumbline::internal {
 // The rig as it was in a frame: with the pose of the right camera refined, and told in the frame,
 // where it has moved since the view was taken (or always). Without a pose of the view, or where the
 // frame's matches tell none, it is the calibrated one.
+// observations: FarApart() of the frame.
 [[nodiscard]] StereoRig RigOfFrame(const StereoRig& rig, const std::optional<RelativePose>& view,
-                                   const StereoField& field,
-                                   const Image<Eigen::Vector3f>& unit_covariance,
+                                   std::span<const StereoObservation> observations,
                                    PoseRefinement refinement, RollingFrame* frame);
+
+// The matches of a frame that share no noise.
+[[nodiscard]] std::vector<StereoObservation> FarApart(
+    const StereoField& field, const Image<Eigen::Vector3f>& unit_covariance);
 
 }  // namespace plumbline::internal

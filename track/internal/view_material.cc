@@ -5,6 +5,7 @@
 #include <numbers>
 #include <utility>
 
+#include "track/right_flow.h"
 #include "track/rolling_survey.h"
 #include "track/surface_state.h"
 
@@ -52,6 +53,15 @@ Eigen::MatrixXf MaterialAlongModes(const WheelReference &wheel, const WheelRefer
   }
   std::vector<Eigen::Vector3f> moved(places.size() * K);
   modes.Differences(left, right, moved);
+  if (wheel.delay_mode >= 0) {
+    const double late_rad = wheel.SigmaLateTurnOf(view);
+    std::vector<Eigen::Vector2d> right_px;
+    for (const Eigen::Vector3d &p : in_rig) {
+      right_px.push_back(-late_rad * RigidRightFlow(wheel, p));
+    }
+    FillModeOfMatches(wheel.rig, left, right, right_px, static_cast<std::size_t>(wheel.delay_mode),
+                      moved);
+  }
   for (std::size_t k = 0; k < K; ++k) {
     const double angle =
         view.angle_rad + wheel.angles_along_modes_rad(static_cast<Eigen::Index>(k), view.frame);

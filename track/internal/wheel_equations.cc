@@ -75,16 +75,23 @@ void WheelEquations::Project(const StereoRig& rig, std::span<Eigen::Vector2d> pi
 
 bool WheelEquations::Evaluate(const WheelAxis& axis, std::span<const double> angles_rad,
                               std::span<const Eigen::Vector3d> points_mm) {
+  // Of each frame as the left camera sees it, then as the right one does.
   std::vector<Eigen::Matrix3d> turn, d_turn;
-  for (const double angle : angles_rad) {
-    d_turn.emplace_back();
-    turn.push_back(TurnAboutY(angle, &d_turn.back()));
+  for (const bool right : {false, true}) {
+    for (std::size_t f = 0; f < angles_rad.size(); ++f) {
+      const double on_rad = right && !problem_.late_rad.empty() ? problem_.late_rad[f] : 0;
+      d_turn.emplace_back();
+      turn.push_back(TurnAboutY(angles_rad[f] + on_rad, &d_turn.back()));
+    }
   }
   const Eigen::Vector3d away(0, 0, axis.distance_mm);
   const auto of = [](int index) { return static_cast<std::size_t>(index); };
+  const auto turn_of = [&](const WheelObservation& o) {
+    return of(o.frame) + (o.right ? angles_rad.size() : 0);
+  };
   for (std::size_t i = 0; i < size(); ++i) {
     const WheelObservation& o = problem_.observations[i];
-    in_rig_mm_[i] = axis.rotation * (turn[of(o.frame)] * points_mm[of(o.point)] + away);
+    in_rig_mm_[i] = axis.rotation * (turn[turn_of(o)] * points_mm[of(o.point)] + away);
   }
   std::vector<Eigen::Vector2d> pixels(size());
   std::vector<Eigen::Matrix<double, 2, 3>> d_pixel(size());
@@ -92,13 +99,13 @@ bool WheelEquations::Evaluate(const WheelAxis& axis, std::span<const double> ang
   for (std::size_t i = 0; i < size(); ++i) {
     if (!pixels[i].allFinite()) return false;
     const WheelObservation& o = problem_.observations[i];
-    const Eigen::Matrix3d& R = turn[of(o.frame)];
+    const Eigen::Matrix3d& R = turn[turn_of(o)];
     const Eigen::Vector3d& point = points_mm[of(o.point)];
     const Eigen::Matrix<double, 2, 3> J = whiten_[i] * d_pixel[i] * axis.rotation;
     WheelRow& row = rows_[i];
     row.residual = whiten_[i] * (pixels[i] - o.pixel);
     row.d_axis << -J * Skew(R * point + away), J.col(2);
-    row.d_angle = J * d_turn[of(o.frame)] * point;
+    row.d_angle = J * d_turn[turn_of(o)] * point;
     row.d_point = J * R;
   }
   return true;
@@ -112,6 +119,15 @@ std::vector<Eigen::Vector2d> WheelEquations::ChangeFor(const StereoRig& rig) con
     pixels[i] = (whiten_[i] * pixels[i] - before).eval();
   }
   return pixels;
+}
+
+std::vector<Eigen::Vector2d> WheelEquations::ChangeForLater(std::span<const double> by_rad) const {
+  std::vector<Eigen::Vector2d> change(size(), Eigen::Vector2d::Zero());
+  for (std::size_t i = 0; i < size(); ++i) {
+    const WheelObservation& o = problem_.observations[i];
+    if (o.right) change[i] = by_rad[static_cast<std::size_t>(o.frame)] * rows_[i].d_angle;
+  }
+  return change;
 }
 
 // Calls body(chunk, begin, end) for parts of the points; their number does not depend on threads.

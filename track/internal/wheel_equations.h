@@ -38,6 +38,8 @@ class WheelEquations {
   const WheelRow& row(std::size_t i) const { return rows_[i]; }
   // The change of projection i, in its sigmas, for another rig.
   std::vector<Eigen::Vector2d> ChangeFor(const StereoRig& rig) const;
+  // The same when the wheel turns on by so much more in each frame until the right camera exposes.
+  std::vector<Eigen::Vector2d> ChangeForLater(std::span<const double> by_rad) const;
 
   // The reduced matrix of the values evaluated last, with these weights (0: left out). Points and
   // frames that are not determined are left out with their observations. Throws InputError where
@@ -78,7 +80,7 @@ class WheelEquations {
   Eigen::Index core_size_ = 0;
   std::vector<Eigen::Matrix2d> whiten_;
   std::vector<std::vector<std::size_t>> seen_;  // a point each: its observations
-  std::vector<Eigen::Vector3d> in_rig_mm_;      // the point of each, evaluated last
+  std::vector<Eigen::Vector3d> in_rig_mm_;      // the point of each when it is seen, evaluated last
   std::vector<WheelRow> rows_;
   std::vector<double> weights_;
   std::vector<Eliminated> points_;

@@ -1,0 +1,211 @@
+#include "track/internal/survey_rows.h"
+
+#include <algorithm>
+#include <cmath>
+#include <cstddef>
+#include <limits>
+#include <numbers>
+
+#include "calib/error.h"
+#include "calib/triangulate.h"
+#include "track/internal/frame_rig.h"
+#include "track/internal/survey_tags.h"
+#include "track/right_flow.h"
+
+namespace plumbline::internal {
+namespace {
+
+constexpr double kTurn_rad = 2 * std::numbers::pi;
+
+// By how much the speed of a frame may be off because places disagree on the turns beside it.
+double SpeedSpread(const RollingAngles& angles, const std::vector<double>& times, std::size_t f) {
+  const auto beside = [&](std::size_t later) {
+    return later == 0 || later >= times.size()
+               ? 0
+               : angles.frames[later].turn_spread_rad / (times[later] - times[later - 1]);
+  };
+  return std::max(beside(f), beside(f + 1));
+}
+
+}  // namespace
+
+double TimeOf(const RollingFrame& frame) {
+  return std::isfinite(frame.time_s) ? frame.time_s : static_cast<double>(frame.index);
+}
+
+Eigen::Vector2d RightPixelAt(const PlanarField& right, const Eigen::Vector2d& left_px) {
+  const Eigen::Vector2d none = Eigen::Vector2d::Constant(std::numeric_limits<double>::quiet_NaN());
+  const Eigen::Vector2d at = (left_px - right.first_px.cast<double>()) / right.step_px;
+  const int c = static_cast<int>(std::floor(at.x())), r = static_cast<int>(std::floor(at.y()));
+  if (c < 0 || r < 0 || c + 1 >= right.size().width || r + 1 >= right.size().height) {
+    return none;
+  }
+  Eigen::Vector2d seen_px = left_px;
+  for (const int down : {0, 1}) {
+    for (const int along : {0, 1}) {
+      if (right.status(r + down, c + along) != Status::kOk) return none;
+      const double share =
+          (down == 1 ? at.y() - r : r + 1 - at.y()) * (along == 1 ? at.x() - c : c + 1 - at.x());
+      // Half-way between the line through the values and those along the gradients lies what both
+      // leave out of a curve.
+      const Eigen::Vector2d from_corner(at.x() - c - along, at.y() - r - down);
+      seen_px += share * (right.displacement_px(r + down, c + along) +
+                          0.5 * right.step_px *
+                              (right.gradient(r + down, c + along).cast<double>() * from_corner));
+    }
+  }
+  return seen_px;
+}
+
+SurveyRows::PoseMatches SurveyRows::PoseMatches::Of(const RelativePose& view,
+                                                    const StereoField& field,
+                                                    const Image<Eigen::Vector3f>& unit_covariance,
+                                                    const Image<Eigen::Vector2d>& flow_px) {
+  PoseMatches out{view, FarApart(field, unit_covariance), {}};
+  StereoField turned = field;
+  MoveAlong(flow_px, 1, &turned.right);
+  for (const StereoObservation& o : FarApart(turned, unit_covariance)) {
+    out.right_flow_px.push_back(o.right - out.observations[out.right_flow_px.size()].right);
+  }
+  return out;
+}
+
+void SurveyRows::Push(Eigen::Index modes) {
+  observations.emplace_back();
+  psi_along.emplace_back(0, modes);
+  poses.emplace_back();
+}
+
+void SurveyRows::ClearLast() {
+  observations.back().clear();
+  psi_along.back().resize(0, psi_along.back().cols());
+  poses.back() = {};
+}
+
+void SurveyRows::Unwrap(std::vector<RollingFrame>* frames) {
+  double before_s = 0, now_s = 0, before = 0, now = 0;
+  int placed = 0;
+  for (std::size_t f = 0; f < frames->size(); ++f) {
+    RollingFrame& frame = (*frames)[f];
+    if (frame.status != RollingFrameStatus::kPlaced) continue;
+    const double t = TimeOf(frame);
+    double expected = now;
+    if (placed > 1 && now_s > before_s) {
+      expected += (now - before) / (now_s - before_s) * (t - now_s);
+    }
+    const double first = frame.measured_angle_rad;
+    frame.measured_angle_rad = placed == 0 ? first - kTurn_rad * std::floor(first / kTurn_rad)
+                                           : expected + std::remainder(first - expected, kTurn_rad);
+    for (RollingObservation& o : observations[f]) o.psi_rad += frame.measured_angle_rad - first;
+    before = now;
+    before_s = now_s;
+    now = frame.measured_angle_rad;
+    now_s = t;
+    ++placed;
+  }
+}
+
+void SurveyRows::FindAngles(const WheelReference& reference,
+                            const RollingAnglesOptions& angles_options,
+                            const AngleSmootherOptions& smoother, RollingWheel* wheel) const {
+  const std::size_t n = wheel->frames.size();
+  bool clock = true;
+  for (const RollingFrame& frame : wheel->frames) clock = clock && std::isfinite(frame.time_s);
+  std::vector<double> times, angles, sigmas;
+  for (const RollingFrame& frame : wheel->frames) {
+    times.push_back(clock ? frame.time_s : static_cast<double>(frame.index));
+  }
+  wheel->deformation = FindRollingAngles(observations, psi_along, angles_options, times);
+  wheel->sigma_common_rad = wheel->deformation.sigma_common_rad;
+  for (std::size_t f = 0; f < n; ++f) {
+    RollingFrame& frame = wheel->frames[f];
+    if (frame.status == RollingFrameStatus::kPlaced) {
+      frame.measured_angle_rad = wheel->deformation.frames[f].angle_rad;
+      frame.sigma_measured_rad = wheel->deformation.frames[f].sigma_rad;
+    }
+  }
+  const Eigen::MatrixXd along = HoldToTags(reference, *wheel);
+  for (const RollingFrame& frame : wheel->frames) {
+    angles.push_back(frame.measured_angle_rad);
+    sigmas.push_back(frame.sigma_measured_rad);
+  }
+  const SmoothedAngles smooth = SmoothAngles(times, angles, sigmas, along, smoother);
+  wheel->angle_along_modes_rad = smooth.angle_along_rad;
+  wheel->speed_along_modes_rad_s = smooth.speed_along_rad_s;
+  wheel->jerk_rad_s25 = smooth.jerk_rad_s25;
+  wheel->scatter = smooth.scatter;
+  const bool modes = wheel->angle_along_modes_rad.rows() > 0;
+  for (std::size_t f = 0; f < n; ++f) {
+    RollingFrame& frame = wheel->frames[f];
+    const auto column = static_cast<Eigen::Index>(f);
+    if (frame.status != RollingFrameStatus::kPlaced) {
+      wheel->angle_along_modes_rad.col(column).setConstant(RollingFrame::kNone);
+      wheel->speed_along_modes_rad_s.col(column).setConstant(RollingFrame::kNone);
+      continue;
+    }
+    const SmoothedAngle& s = smooth.frames[f];
+    frame.angle_rad = s.angle_rad;
+    frame.sigma_random_rad = s.sigma_angle_rad;
+    frame.lean = s.lean;
+    frame.outlier = s.outlier;
+    frame.sigma_measured_rad *= smooth.scatter;
+    if (modes) frame.sigma_calibration_rad = wheel->angle_along_modes_rad.col(column).norm();
+    if (!clock) continue;
+    frame.speed_rad_s = s.speed_rad_s;
+    frame.sigma_random_rad_s =
+        std::hypot(s.sigma_speed_rad_s, SpeedSpread(wheel->deformation, times, f));
+    if (modes) frame.sigma_calibration_rad_s = wheel->speed_along_modes_rad_s.col(column).norm();
+  }
+}
+
+void SurveyRows::MoveBack(const WheelReference& reference, const RightDelay& delay,
+                          PoseRefinement refinement, RollingWheel* wheel) {
+  const Rigid3 wheel_from_rig = reference.axis.RigFromWheel(0).Inverse();
+  const bool mode = delay.sigma_s > 0 && reference.delay_mode >= 0;
+  for (std::size_t f = 0; f < wheel->frames.size(); ++f) {
+    RollingFrame& frame = wheel->frames[f];
+    if (frame.status != RollingFrameStatus::kPlaced) continue;
+    if (!std::isfinite(frame.speed_rad_s)) {
+      throw InputError(
+          "how far the wheel turns until the right camera exposes is not known: the frames need "
+          "times (--timestamps or --fps)");
+    }
+    const double turn_rad = -frame.speed_rad_s * delay.value_s;
+    PoseMatches& pose = poses[f];
+    for (std::size_t i = 0; i < pose.observations.size(); ++i) {
+      pose.observations[i].right += turn_rad * pose.right_flow_px[i];
+    }
+    const StereoRig rig =
+        RigOfFrame(reference.rig, pose.view, pose.observations, refinement, &frame);
+    std::vector<Eigen::Vector2d> left, right, right_px;
+    for (RollingPoint& p : frame.points) {
+      p.right_px += turn_rad * p.right_flow_px;
+      left.push_back(p.left_px);
+      right.push_back(p.right_px);
+      right_px.push_back(-frame.speed_rad_s * delay.sigma_s * p.right_flow_px);
+    }
+    const std::vector<Eigen::Vector3d> points = TriangulatePoints(rig, left, right);
+    std::vector<Eigen::Vector3f> moved(mode ? points.size() : 0);
+    if (mode) FillModeOfMatches(rig, left, right, right_px, 0, moved);
+    for (std::size_t i = 0; i < points.size(); ++i) {
+      RollingPoint& p = frame.points[i];
+      p.point_mm = points[i];
+      const Eigen::Vector3d here = wheel_from_rig * p.point_mm;
+      RollingObservation& o = observations[f][i];
+      const double place_rad = MaterialAngle(here);
+      o.psi_rad -= std::remainder(place_rad - o.place_rad, kTurn_rad);
+      o.place_rad = place_rad;
+      o.y_mm = here.y();
+      o.radial_mm =
+          std::hypot(here.x(), here.z()) - std::hypot(p.undeformed_mm.x(), p.undeformed_mm.z());
+      if (!mode) continue;
+      const double there_rad =
+          MaterialAngle(wheel_from_rig * (points[i] + moved[i].cast<double>()));
+      psi_along[f](static_cast<Eigen::Index>(i), reference.delay_mode) -=
+          static_cast<float>(std::remainder(there_rad - place_rad, kTurn_rad));
+    }
+  }
+  wheel->right_delay = delay;
+}
+
+}  // namespace plumbline::internal
