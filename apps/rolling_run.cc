@@ -353,6 +353,7 @@ void RollingRun::FindContact(RollingContactOptions contact) {
   impl.threshold_mm = contact.patch.threshold.threshold_mm;
   impl.convention = kSlipConventionNames[static_cast<std::size_t>(contact.slip.convention)];
   impl.contact = FindRollingContact(impl.reference, impl.rolling, contact);
+  if (!impl.survey) return;  // the delay was estimated before
   std::vector<std::uint8_t> steady;
   for (const RollingContactFrame& frame : impl.contact->frames) {
     steady.push_back(frame.patch.by == FramePatch::By::kLiftOff ? 1 : 0);

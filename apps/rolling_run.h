@@ -75,14 +75,15 @@ class RollingRun {
 
   // After Survey(): the ground under the tyre, its contact and its slip in every frame; positions
   // are then told in the ground frame of their moment. What depends on the survey's points in
-  // `options` is set here. Throws as FindRollingContact(), and InputError where the right camera's
-  // delay is to be estimated and cannot be.
+  // `options` is set here. Once the angles have changed (LeanOn) it may follow anew; the right
+  // camera's delay is told the first time. Throws as FindRollingContact(), and InputError where
+  // that delay is to be estimated and cannot be.
   void FindContact(RollingContactOptions options);
 
   // The wheel's speed by the images, after Survey(); over the ground after FindContact().
   SampledSignal WheelSpeeds(bool over_ground) const;
-  // Smooths the wheel's angle again with a channel of its speed, see LeanOnChannel(); where that
-  // tells the speed over the ground, after FindContact(), which has to follow anew in any case.
+  // Smooths the wheel's angle again with a channel of its speed, see LeanOnChannel(); after
+  // FindContact(), which has to follow anew.
   // Without a channel the notes say that it is not used, for this problem. Throws as
   // LeanOnChannel().
   void LeanOn(const std::optional<WheelSpeedChannel>& channel, bool over_ground,

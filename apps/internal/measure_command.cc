@@ -17,6 +17,7 @@
 #include "apps/internal/recording_options.h"
 #include "apps/internal/result_file.h"
 #include "apps/internal/rolling_options.h"
+#include "apps/internal/run_output.h"
 #include "apps/internal/shard_option.h"
 #include "apps/internal/stereo_options.h"
 #include "apps/internal/wheel_lean.h"
@@ -112,8 +113,6 @@ class MeasureCommand : public Command {
   WheelReference Wheel() const;
   RigInput Rig() const;
   StereoFrame ReferencePair(std::vector<fs::path>* files) const;
-  std::optional<CommandReport> FinishedBefore(const fs::path& output,
-                                              const std::string& recipe_toml) const;
 
   RecordingOptionSet recording_;
   std::string output_ = "run.h5";
@@ -382,41 +381,13 @@ RigInput MeasureCommand::Rig() const {
   return {rolling_.Wheel().rig, std::nullopt, {rolling_.file()}, {}};
 }
 
-// Where --resume finds the run finished: what there is to say of that.
-std::optional<CommandReport> MeasureCommand::FinishedBefore(const fs::path& output,
-                                                            const std::string& recipe_toml) const {
-  if (!resume_) return std::nullopt;
-  const RunState state = FindRun(output);
-  if (state.kind != RunState::Kind::kFinished) return std::nullopt;
-  if (RecipeOfTheData(state.recipe_toml) != RecipeOfTheData(recipe_toml)) {
-    throw InputError(fmt::format(
-        "'{}' is finished and was made with other settings; choose another name with -o, or say "
-        "--overwrite instead of --resume.",
-        output_));
-  }
-  CommandReport report;
-  report.text =
-      fmt::format("{} is finished: {} frames. Nothing was left to do.\n", output_, state.frames);
-  report.json = {{"output", output.string()}, {"frames_read", state.frames}, {"finished", true}};
-  return report;
-}
-
-// Where there is no room for it: what to do.
-void Commit(const SeriesFrame& frame, const fs::path& output, SeriesWriter& writer) {
-  try {
-    writer.Commit(frame);
-  } catch (const EnvironmentError& error) {
-    if (writer.committed() == 0) throw;
-    throw EnvironmentError(
-        fmt::format("{}; make room: {}", error.what(), KeptText(writer.committed(), output)));
-  }
-}
-
 CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string& recipe_toml) {
   const bool dic = matcher_ == "dic" || rolling_.given();
   CheckRolling();
   const fs::path output = CheckedOutput(output_, overwrite_ || resume_);
-  if (const auto report = FinishedBefore(output, recipe_toml)) return *report;
+  if (resume_) {
+    if (const auto report = FinishedRun(output, output_, recipe_toml)) return *report;
+  }
   std::optional<SeriesShard> shard;
   if (!shard_.empty()) shard = ParseShard(shard_);
   if (!dic) SgbmOptions(common.seed);  // before anything is read: what is wrong with them
@@ -481,7 +452,7 @@ CommandReport MeasureCommand::Run(const CommonOptions& common, const std::string
                        [&](const StereoFrame& one) { return measurement.measure(one, position); });
         },
         [&](const ReportedFrame& measured) {
-          Commit(measured.frame, output, writer);
+          CommitFrame(measured.frame, output, writer);
           if (!measured.frame.problem.empty()) {
             progress.Note(fmt::format("Frame {} is marked as bad: {}", measured.frame.index,
                                       measured.frame.problem));

@@ -38,7 +38,8 @@ std::string FindContact(const ContactOptionSet& said, RollingContactOptions cont
   std::string clock;
   if (wheel_speed.given()) {
     const bool over_ground = wheel_speed.over_ground();
-    if (over_ground) run.FindContact(contact);  // for how the rig turns, by the images alone
+    // How the rig turns, and the right camera's delay, by the images alone.
+    run.FindContact(contact);
     clock = wheel_speed.FindClock(run.WheelSpeeds(over_ground), channels);
     std::string problem;
     const auto speeds = wheel_speed.Speeds(*channels, &problem);
