@@ -10,6 +10,7 @@
 #include "tests/support/consistency.h"
 #include "tests/support/numeric_jacobian.h"
 #include "tests/track/tagged_wheel.h"
+#include "track/right_flow.h"
 
 namespace plumbline {
 namespace {
@@ -115,6 +116,22 @@ TEST(RimAngles, MoveAlongTheModesAsWhenFoundAnew) {
     EXPECT_NEAR(angle.along_modes_rad[k], change, 0.01 * std::abs(change) + 1e-9) << k;
     EXPECT_GT(std::abs(change), 1e-7);
   }
+}
+
+TEST(RimAngles, AreNotMovedByModesThatMoveNoCamera) {
+  TaggedWheel rim = Rim();
+  rim.AddModes();
+  rim.AddFrames(1);
+  std::mt19937 random(5);
+  const StereoTags seen = rim.See(0.3, 0, random);
+  const RimAngle before = RimAngleFinder(rim.wheel).Find(seen, 0.3);
+  const WheelReference late = WithDelayMode(rim.wheel, {.value_s = 2e-5, .sigma_s = 1e-6});
+  const RimAngle after = RimAngleFinder(late).Find(seen, 0.3);
+  ASSERT_TRUE(before.found && after.found);
+  ASSERT_EQ(after.along_modes_rad.size(), before.along_modes_rad.size() + 1);
+  EXPECT_EQ(after.along_modes_rad.head(before.along_modes_rad.size()), before.along_modes_rad);
+  EXPECT_EQ(after.along_modes_rad[late.delay_mode], 0);
+  EXPECT_EQ(after.angle_rad, before.angle_rad);
 }
 
 TEST(RimAngles, AreNoneWithoutTagsOnTheRim) {
