@@ -7,6 +7,7 @@
 #include <stdexcept>
 
 #include "calib/error.h"
+#include "io/internal/array_writer.h"
 #include "io/internal/durable_file.h"
 #include "io/internal/hdf5.h"
 #include "io/internal/rig_group.h"
@@ -19,6 +20,8 @@ namespace {
 
 using hdf5::Id;
 using hdf5::Shape;
+using internal::ReadDoubles;
+using Writer = internal::ArrayWriter;
 constexpr const char* kFormat = "plumbline-wheel";
 constexpr hsize_t kMaxFrames = 100'000;
 
@@ -32,45 +35,6 @@ std::vector<double> Flat(const Eigen::MatrixXd& matrix) {
 }
 
 // --- writing
-
-class Writer {
- public:
-  explicit Writer(hid_t file) : file_(file) {}
-
-  // An axis of its own.
-  template <typename T>
-  void Scale(const std::string& path, const std::string& units, const std::string& long_name,
-             const std::vector<T>& values) {
-    const Id dataset =
-        hdf5::WriteArray<T>(file_, {path, units, long_name, {values.size()}, {}}, values);
-    hdf5::MakeScale(dataset, path.substr(path.rfind('/') + 1));
-  }
-
-  // scales: one a dimension; "": the plain index.
-  template <typename T>
-  void Array(const std::string& path, const std::string& units, const std::string& long_name,
-             const Shape& shape, std::span<const T> values, std::vector<std::string> scales = {},
-             const Shape& chunk = {}) {
-    const Id dataset = hdf5::WriteArray<T>(file_, {path, units, long_name, shape, chunk}, values);
-    scales.resize(shape.size());
-    for (std::size_t d = 0; d < shape.size(); ++d) {
-      if (scales[d].empty()) scales[d] = hdf5::IndexScale(file_, shape[d]);
-    }
-    hdf5::AttachScales(file_, dataset, scales);
-  }
-  void Doubles(const std::string& path, const std::string& units, const std::string& long_name,
-               const Shape& shape, const std::vector<double>& values,
-               const std::vector<std::string>& scales = {}) {
-    Array<double>(path, units, long_name, shape, values, scales);
-  }
-  void Number(const std::string& path, const std::string& units, const std::string& long_name,
-              double value) {
-    Doubles(path, units, long_name, {}, {value});
-  }
-
- private:
-  hid_t file_;
-};
 
 void WriteAxis(Writer& out, hid_t file, const WheelReference& wheel) {
   const Id group = hdf5::CreateGroup(file, "/wheel");
@@ -244,13 +208,6 @@ void WriteViews(Writer& out, hid_t file, const WheelReference& wheel) {
 }
 
 // --- reading
-
-std::vector<double> ReadDoubles(hid_t file, const std::string& path, const Shape& shape) {
-  Shape found;
-  auto values = hdf5::ReadArray<double>(file, path, &found);
-  if (found != shape) throw hdf5::Error(path + " does not have the size that it should");
-  return values;
-}
 
 double ReadNumber(hid_t file, const std::string& path) { return ReadDoubles(file, path, {})[0]; }
 

@@ -55,25 +55,18 @@ Image<Squares> Disagreement(const SurfaceStrain& small, const SurfaceStrain& lar
   return out;
 }
 
-// By how much the noise is larger than claimed (variances): as gauges that are next to each other
-// in size differ at half of the points, of the three smallest, between which the surface's own
-// strain hardly matters at most places. The larger one of two: noise that goes together further
-// than claimed is seen less in small gauges than in large ones.
-Squares NoiseScale(const std::vector<SurfaceStrain>& by_size) {
-  constexpr std::size_t kPairs = 2, kEnough = 100;
+// By how much the noise is larger than claimed (variances), as a gauge differs from the next larger
+// one at half of the points.
+Squares NoiseScale(const Image<Squares>& off_next) {
+  constexpr std::size_t kEnough = 100;
   constexpr float kMedianOfChi2 = 0.4549F;  // of one degree of freedom
-  Squares scale = Squares::Zero();
-  for (std::size_t small = 0; small < std::min(kPairs, by_size.size() - 1); ++small) {
-    const Image<Squares> off = Disagreement(by_size[small], by_size[small + 1]);
-    for (int component = 0; component < 3; ++component) {
-      std::vector<float> squares;
-      for (const Squares& q : off.values()) {
-        if (std::isfinite(q[component])) squares.push_back(q[component]);
-      }
-      const float ratio =
-          squares.size() < kEnough ? 1.0F : Median(std::move(squares)) / kMedianOfChi2;
-      scale[component] = std::max(scale[component], ratio);
+  Squares scale = Squares::Ones();
+  for (int component = 0; component < 3; ++component) {
+    std::vector<float> squares;
+    for (const Squares& q : off_next.values()) {
+      if (std::isfinite(q[component])) squares.push_back(q[component]);
     }
+    if (squares.size() >= kEnough) scale[component] = Median(std::move(squares)) / kMedianOfChi2;
   }
   return scale;
 }
@@ -108,20 +101,34 @@ Image<Squares> MeanAround(const Image<Squares>& values, int half) {
 }
 
 // Which of the gauges agree, by size: agrees[k] those of size k with all smaller ones.
+//
+// The noise is that of the three smallest, between which the surface's own strain hardly matters at
+// most places. The larger one of two: noise that goes together further than claimed is seen less in
+// small gauges than in large ones.
 std::vector<Image<std::uint8_t>> Agreement(const std::vector<SurfaceStrain>& by_size,
                                            double sigmas) {
+  constexpr std::size_t kToldNoise = 2;
   constexpr int kHalfAround = 2;
-  const Squares limit = static_cast<float>(sigmas * sigmas) * NoiseScale(by_size);
+  struct Pair {
+    std::size_t large;
+    Image<Squares> off;  // a mean around each point
+  };
+  std::vector<Pair> pairs;
+  Squares noise = Squares::Zero();
+  for (std::size_t small = 0; small + 1 < by_size.size(); ++small) {
+    for (std::size_t large = small + 1; large < by_size.size(); ++large) {
+      const Image<Squares> off = Disagreement(by_size[small], by_size[large]);
+      if (large == small + 1 && small < kToldNoise) noise = noise.max(NoiseScale(off));
+      pairs.push_back({large, MeanAround(off, kHalfAround)});
+    }
+  }
+  const Squares limit = static_cast<float>(sigmas * sigmas) * noise;
   std::vector<Image<std::uint8_t>> agrees(by_size.size(),
                                           Image<std::uint8_t>(by_size[0].size(), 1));
-  for (std::size_t large = 1; large < by_size.size(); ++large) {
-    for (std::size_t small = 0; small < large; ++small) {
-      const Image<Squares> off =
-          MeanAround(Disagreement(by_size[small], by_size[large]), kHalfAround);
-      ForEachIndex(off.pixel_count(), [&](std::size_t i) {
-        if ((off.data()[i] > limit).any()) agrees[large].data()[i] = 0;
-      });
-    }
+  for (const Pair& pair : pairs) {
+    ForEachIndex(pair.off.pixel_count(), [&](std::size_t i) {
+      if ((pair.off.data()[i] > limit).any()) agrees[pair.large].data()[i] = 0;
+    });
   }
   return agrees;
 }

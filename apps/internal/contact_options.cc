@@ -3,11 +3,11 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <numbers>
 #include <utility>
 
+#include "apps/internal/parse_numbers.h"
 #include "calib/error.h"
 #include "track/carcass_modes.h"
 
@@ -17,22 +17,6 @@ namespace {
 constexpr double kDegree = std::numbers::pi / 180;
 // Of a height that is said without a standard deviation.
 constexpr double kExactly_mm = 1e-3;
-
-// Numbers parted by one character; nothing where it is not that.
-std::optional<std::vector<double>> ParseNumbers(const std::string& text, char parted_by) {
-  std::vector<double> numbers;
-  const char* at = text.data();
-  const char* const end = at + text.size();
-  while (true) {
-    double number = 0;
-    const auto [next, error] = std::from_chars(at, end, number);
-    if (error != std::errc() || !std::isfinite(number)) return std::nullopt;
-    numbers.push_back(number);
-    if (next == end) return numbers;
-    if (*next != parted_by) return std::nullopt;
-    at = next + 1;
-  }
-}
 
 double MillimetresASecond(const Channel& channel) {
   if (channel.units == "m/s") return 1e3;

@@ -2,9 +2,7 @@
 
 #include <fmt/format.h>
 
-#include <charconv>
-#include <system_error>
-
+#include "apps/internal/parse_numbers.h"
 #include "calib/error.h"
 
 namespace plumbline::internal {
@@ -23,21 +21,16 @@ void DelayOptionSet::Declare(OptionTable& options, const std::string& otherwise,
 
 std::optional<RightDelay> DelayOptionSet::Delay() const {
   if (!given() || estimate()) return std::nullopt;
-  const auto refuse = [&] {
-    return UsageError(fmt::format(
+  const auto ms = ParseNumbers(text_, ',');
+  if (!ms || ms->size() > 2) {
+    throw UsageError(fmt::format(
         "The right camera's delay is a number of ms, as 0.02, or that and its standard deviation, "
         "as 0.02,0.002{}, not '{}'.",
         can_be_estimated_ ? ", or estimate" : "", text_));
-  };
-  RightDelay delay;
-  const char* const end = text_.data() + text_.size();
-  std::from_chars_result read = std::from_chars(text_.data(), end, delay.value_s);
-  if (read.ec == std::errc() && read.ptr != end && *read.ptr == ',') {
-    read = std::from_chars(read.ptr + 1, end, delay.sigma_s);
   }
-  if (read.ec != std::errc() || read.ptr != end) throw refuse();
-  delay.value_s *= 1e-3;
-  delay.sigma_s *= 1e-3;
+  RightDelay delay;
+  delay.value_s = 1e-3 * ms->front();
+  if (ms->size() == 2) delay.sigma_s = 1e-3 * ms->back();
   delay.Check();
   return delay;
 }

@@ -5,6 +5,7 @@
 #include <string>
 #include <vector>
 
+#include "io/internal/array_writer.h"
 #include "io/internal/hdf5.h"
 
 namespace plumbline::internal {
@@ -17,24 +18,6 @@ constexpr const char* kGroup = "/wheel/tags";
 constexpr const char* kIds = "/wheel/tags/id";
 constexpr hsize_t kMaxTags = 100'000;
 constexpr Eigen::Index kNumbers = 12;  // four corners, x y z each
-
-template <typename T>
-void Write(hid_t file, const hdf5::DatasetSpec& spec, const std::vector<T>& values,
-           std::vector<std::string> scales) {
-  const Id dataset = hdf5::WriteArray<T>(file, spec, values);
-  scales.resize(spec.shape.size());
-  for (std::size_t d = 0; d < spec.shape.size(); ++d) {
-    if (scales[d].empty()) scales[d] = hdf5::IndexScale(file, spec.shape[d]);
-  }
-  hdf5::AttachScales(file, dataset, scales);
-}
-
-std::vector<double> Read(hid_t file, const std::string& name, const Shape& shape) {
-  Shape found;
-  auto values = hdf5::ReadArray<double>(file, std::string(kGroup) + "/" + name, &found);
-  if (found != shape) throw hdf5::Error(std::string(kGroup) + "/" + name + " has a wrong size");
-  return values;
-}
 
 }  // namespace
 
@@ -61,35 +44,22 @@ void WriteWheelTags(hid_t file, const WheelTags& tags, int modes) {
     }
   }
   const hsize_t n = ids.size(), K = static_cast<hsize_t>(modes);
-  hdf5::MakeScale(hdf5::WriteArray<std::int32_t>(file, {kIds, "1", "id of the tag", {n}, {}}, ids),
-                  "id");
+  ArrayWriter out(file);
+  out.Scale<std::int32_t>(kIds, "1", "id of the tag", ids);
   const std::string path = std::string(kGroup) + "/";
-  Write<std::int32_t>(file, {path + "frames", "1", "frames that the tag's place is from", {n}, {}},
-                      frames, {kIds});
-  Write<std::uint8_t>(file, {path + "on_rim", "1", "1: on the rim, rigid; 0: on the tyre", {n}, {}},
-                      on_rim, {kIds});
-  Write<double>(file,
-                {path + "corner",
-                 "mm",
-                 "corners of the tag's black border in the wheel frame: bottom left, bottom right, "
-                 "top right, top left",
-                 {n, 4, 3},
-                 {}},
-                corners, {kIds});
-  Write<double>(file,
-                {path + "corner_covariance",
-                 "mm2",
-                 "random covariance of the four corners, x y z each",
-                 {n, 12, 12},
-                 {}},
-                covariance, {kIds});
-  Write<double>(file,
-                {path + "corner_along_modes",
-                 "mm",
-                 "what one sigma of each calibration mode adds to the corners, x y z each",
-                 {n, K, 12},
-                 {}},
-                along, {kIds, "/rig/mode"});
+  out.Array<std::int32_t>(path + "frames", "1", "frames that the tag's place is from", {n}, frames,
+                          {kIds});
+  out.Array<std::uint8_t>(path + "on_rim", "1", "1: on the rim, rigid; 0: on the tyre", {n}, on_rim,
+                          {kIds});
+  out.Doubles(path + "corner", "mm",
+              "corners of the tag's black border in the wheel frame: bottom left, bottom right, "
+              "top right, top left",
+              {n, 4, 3}, corners, {kIds});
+  out.Doubles(path + "corner_covariance", "mm2",
+              "random covariance of the four corners, x y z each", {n, 12, 12}, covariance, {kIds});
+  out.Doubles(path + "corner_along_modes", "mm",
+              "what one sigma of each calibration mode adds to the corners, x y z each", {n, K, 12},
+              along, {kIds, "/rig/mode"});
 }
 
 WheelTags ReadWheelTags(hid_t file, int modes) {
@@ -105,10 +75,13 @@ WheelTags ReadWheelTags(hid_t file, int modes) {
     throw hdf5::Error("/wheel/tags has no family, or its ids do not ascend");
   }
   const hsize_t n = ids.size();
-  const auto frames = Read(file, "frames", {n}), on_rim = Read(file, "on_rim", {n});
-  const auto corners = Read(file, "corner", {n, 4, 3});
-  const auto covariance = Read(file, "corner_covariance", {n, 12, 12});
-  const auto along = Read(file, "corner_along_modes", {n, static_cast<hsize_t>(modes), 12});
+  const std::string path = std::string(kGroup) + "/";
+  const auto frames = ReadDoubles(file, path + "frames", {n}),
+             on_rim = ReadDoubles(file, path + "on_rim", {n});
+  const auto corners = ReadDoubles(file, path + "corner", {n, 4, 3});
+  const auto covariance = ReadDoubles(file, path + "corner_covariance", {n, 12, 12});
+  const auto along =
+      ReadDoubles(file, path + "corner_along_modes", {n, static_cast<hsize_t>(modes), 12});
   for (std::size_t t = 0; t < n; ++t) {
     WheelTag tag;
     tag.id = ids[t];
