@@ -126,14 +126,12 @@ std::string MeasureReport::FrameText(const Row& row) const {
 std::string MeasureReport::MotionText(const Row& row) const {
   const SurfaceSummary& m = *row.motion;
   const auto three = [](const Eigen::Vector3d& value, const Eigen::Vector3d& random,
-                        const Eigen::Vector3d& calibration, const char* format, double scale) {
+                        const Eigen::Vector3d& calibration, int fewest, double scale) {
     std::string text;
     for (int k = 0; k < 3; ++k) {
-      text += fmt::format(fmt::runtime(format), k == 0 ? "" : ", ", scale * value[k],
-                          TwoDigits(kExpanded * scale * random[k]));
-      if (std::isfinite(calibration[k])) {
-        text += " +- " + TwoDigits(kExpanded * scale * calibration[k]);
-      }
+      if (k > 0) text += ", ";
+      text += WithErrors(scale * value[k], kExpanded * scale * random[k],
+                         kExpanded * scale * calibration[k], fewest);
     }
     return text;
   };
@@ -151,11 +149,11 @@ std::string MeasureReport::MotionText(const Row& row) const {
   }
   text += fmt::format("  Displacement (x, y, z), median: {} mm.\n",
                       three(m.displacement_mm, m.sigma_random_displacement_mm,
-                            m.sigma_calibration_displacement_mm, "{}{:.4f} +- {}", 1));
+                            m.sigma_calibration_displacement_mm, 4, 1));
   if (m.strain_points > 0) {
-    text += fmt::format(
-        "  Strain (xx, yy, xy), median of {} gauges: {} microstrain.\n", m.strain_points,
-        three(m.strain, m.sigma_random_strain, m.sigma_calibration_strain, "{}{:.0f} +- {}", 1e6));
+    text += fmt::format("  Strain (xx, yy, xy), median of {} gauges: {} microstrain.\n",
+                        m.strain_points,
+                        three(m.strain, m.sigma_random_strain, m.sigma_calibration_strain, 0, 1e6));
   }
   return text;
 }
@@ -198,7 +196,7 @@ std::string MeasureReport::Text() const {
   if (seconds_ > 0 && frames() > 1) {
     text += fmt::format(", {:.2g} a second", static_cast<double>(frames()) / seconds_);
   }
-  text += ".\n";
+  text += ".\n" + VibrationText();
   if (interrupted_) text += "Stopped by Ctrl-C: " + kept_ + "\n";
   text += "All +- are expanded uncertainties (k = 2); the file holds standard deviations.\n";
   if (!has_calibration_) {
@@ -209,6 +207,24 @@ std::string MeasureReport::Text() const {
       "Wrote {}. Look at it with: plumbline info {}, or plumbline export {} --format ply\n",
       output_.string(), output_.filename().string(), output_.filename().string());
   return text;
+}
+
+// Where the pose is refined in frames that are beyond doubt alone, and such frames come and go.
+std::string MeasureReport::VibrationText() const {
+  std::int64_t refined = 0, after_one = 0;
+  for (const Row& row : frames_) {
+    if (!row.watch.found) continue;
+    refined += row.watch.refined ? 1 : 0;
+    after_one += refined > 0 && !row.watch.refined ? 1 : 0;
+  }
+  if (after_one == 0) return "";
+  return fmt::format(
+      "The pose of the cameras is refined in {} of {} frames, and {} after one of these keep that "
+      "of "
+      "the calibration: cameras that vibrate move in those too, by less than is beyond doubt, "
+      "which "
+      "is in no sigma. Measure with --refine-pose always.\n",
+      refined, measured(), after_one);
 }
 
 nlohmann::json MeasureReport::Json() const {

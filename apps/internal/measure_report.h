@@ -67,6 +67,7 @@ class MeasureReport {
   };
   std::string FrameText(const Row& row) const;
   std::string MotionText(const Row& row) const;
+  std::string VibrationText() const;
   nlohmann::json MotionJson(const Row& row) const;
   std::string Text() const;
   nlohmann::json Json() const;

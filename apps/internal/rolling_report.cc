@@ -13,14 +13,11 @@ namespace {
 
 constexpr double kDegrees = 180 / std::numbers::pi, kExpanded = 2;
 
-// "18.02 +- 0.01 +- 0.02": random, then calibration where it is known.
-std::string Measured(double value, double random, double calibration, int digits,
+// With expanded uncertainties (k = 2); fewest: decimals where none is known.
+std::string Measured(double value, double random, double calibration, int fewest,
                      double scale = 1) {
-  if (std::isnan(value)) return "not known";
-  std::string text = fmt::format("{:.{}f}", scale * value, digits);
-  if (std::isfinite(random)) text += " +- " + TwoDigits(kExpanded * scale * random);
-  if (std::isfinite(calibration)) text += " +- " + TwoDigits(kExpanded * scale * calibration);
-  return text;
+  return WithErrors(scale * value, kExpanded * scale * random, kExpanded * scale * calibration,
+                    fewest);
 }
 
 nlohmann::json Numbers(double value, double random, double calibration, double scale = 1) {
@@ -91,9 +88,11 @@ std::string TextOf(const RollingReport& report) {
     return text + fmt::format("  Ground: not found: {}.\n", r.problem);
   if (d.found) {
     text += fmt::format(
-        "  Deflection {} mm under the axis; carcass shifted by {} mm along, {} mm across.\n",
-        Measured(d.deflection_mm, d.sigma_random_deflection_mm, d.sigma_calibration_deflection_mm,
-                 2),
+        "  Deflection under the axis {}; carcass shifted by {} mm along, {} mm across.\n",
+        std::isfinite(d.deflection_mm) ? Measured(d.deflection_mm, d.sigma_random_deflection_mm,
+                                                  d.sigma_calibration_deflection_mm, 2) +
+                                             " mm"
+                                       : "not known (it is not seen there)",
         Measured(d.longitudinal_mm, d.sigma_random_longitudinal_mm,
                  d.sigma_calibration_longitudinal_mm, 2),
         Measured(d.lateral_mm, d.sigma_random_lateral_mm, d.sigma_calibration_lateral_mm, 2));
