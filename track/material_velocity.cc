@@ -1,6 +1,5 @@
 #include "track/material_velocity.h"
 
-#include <Eigen/Cholesky>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -43,6 +42,25 @@ void CheckOrder(const MaterialFrame& earlier, const MaterialFrame& later) {
       "timestamps");
 }
 
+using GroundErrors = std::array<Eigen::Matrix<double, 6, Eigen::Dynamic>, 3>;
+
+// As they are given, or each frame's own.
+GroundErrors GroundErrorsOf(const FrameTriple& frames) {
+  GroundErrors errors = frames.ground_errors;
+  const std::array<const MaterialFrame*, 3> all = {frames.before, frames.now, frames.after};
+  const bool given = errors[kNow].cols() > 0;
+  for (std::size_t f = 0; f < 3; ++f) {
+    if (given && all[f] != nullptr && errors[f].cols() != errors[kNow].cols()) {
+      throw std::invalid_argument("VelocityOfMaterial: ground frames with different errors");
+    }
+    if (given) continue;
+    errors[f].setZero(6, 18);
+    if (all[f] == nullptr) continue;
+    errors[f].middleCols<6>(6 * static_cast<Eigen::Index>(f)) = all[f]->ground.Root();
+  }
+  return errors;
+}
+
 // The frames with their points told in the ground frames of their own moments.
 class Triple {
  public:
@@ -57,14 +75,17 @@ class Triple {
     }
     if (frames.before != nullptr) CheckOrder(*frames.before, *frames.now);
     if (frames.after != nullptr) CheckOrder(*frames.now, *frames.after);
+    errors_ = GroundErrorsOf(frames);
   }
 
   const MaterialFrame* at(int f) const { return frames_[static_cast<std::size_t>(f)]; }
   const SurfacePoints& ground(int f) const { return ground_[static_cast<std::size_t>(f)]; }
+  const GroundErrors& ground_errors() const { return errors_; }
 
  private:
   std::array<const MaterialFrame*, 3> frames_;
   std::array<SurfacePoints, 3> ground_;
+  GroundErrors errors_;
 };
 
 template <typename Points>
@@ -72,20 +93,6 @@ Eigen::Vector3d Interpolated(const std::vector<Share>& shares, const Points& poi
   Eigen::Vector3d sum = Eigen::Vector3d::Zero();
   for (const Share& s : shares) sum += s.share * points.data()[s.place].template cast<double>();
   return sum;
-}
-
-// The errors of three ground frames in a row, each with that of its neighbour in common: six sigmas
-// of the frames (rows) by independent errors of sigma 1 (columns).
-Eigen::Matrix3d FrameMixing(const Triple& triple, double correlation) {
-  Eigen::Matrix3d joint;
-  for (int a = 0; a < 3; ++a) {
-    for (int b = 0; b < 3; ++b) joint(a, b) = std::pow(correlation, std::abs(a - b));
-  }
-  Eigen::Matrix3d mixing = Eigen::LLT<Eigen::Matrix3d>(joint).matrixL();
-  for (int f = 0; f < 3; ++f) {
-    if (triple.at(f) == nullptr) mixing.row(f).setZero();
-  }
-  return mixing;
 }
 
 class Velocities {
@@ -99,7 +106,8 @@ class Velocities {
       if (triple.at(f) != nullptr) FindMaterial(f, options.reach_mm);
     }
     ForEachIndex(v_.per_s.pixel_count(), [&](std::size_t i) { SetVelocity(i); });
-    SetErrors(options.ground_correlation);
+    SetGroundErrors(triple.ground_errors());
+    SetModes();
   }
 
   MaterialVelocity& result() { return v_; }
@@ -162,14 +170,13 @@ class Velocities {
   }
 
   // An error of each frame's points, one image a frame.
-  Image<Eigen::Vector3f> Combined(const std::array<const Image<Eigen::Vector3f>*, 3>& errors,
-                                  const Eigen::Vector3d& scale) {
+  Image<Eigen::Vector3f> Combined(const std::array<const Image<Eigen::Vector3f>*, 3>& errors) {
     Image<Eigen::Vector3f> sum(v_.size(), kNone.cast<float>());
     ForEachIndex(sum.pixel_count(), [&](std::size_t i) {
       if (v_.from.data()[i] == VelocityFrom::kNone) return;
       Eigen::Vector3d total = Eigen::Vector3d::Zero();
       for (int f = 0; f < 3; ++f) {
-        const double by = v_.per_s.data()[i][f] * scale[f];
+        const double by = v_.per_s.data()[i][f];
         if (by == 0) continue;
         total += by * Interpolated(SharesOf(f, i), *errors[static_cast<std::size_t>(f)]);
       }
@@ -178,29 +185,36 @@ class Velocities {
     return sum;
   }
 
-  void SetErrors(double ground_correlation) {
-    const Eigen::Matrix3d mixing = FrameMixing(triple_, ground_correlation);
-    const Eigen::Matrix<double, 6, 6> root = triple_.at(kNow)->ground.Root();
-    std::array<const Image<Eigen::Vector3f>*, 3> errors{};
-    const auto take = [&](std::vector<Image<Eigen::Vector3f>> SurfacePoints::*of, std::size_t k) {
-      for (int f = 0; f < 3; ++f) {
-        if (triple_.at(f) == nullptr) continue;
-        errors[static_cast<std::size_t>(f)] = &(triple_.ground(f).*of)[k];
-      }
-    };
-    for (int m = 0; m < 3; ++m) {
-      if (mixing.col(m).isZero(0)) continue;
-      for (std::size_t k = 0; k < 6; ++k) {
-        take(&SurfacePoints::along_common_mm, k);
-        v_.along_common_mm_s.push_back(Combined(errors, mixing.col(m)));
-        v_.turn_along_common_rad.emplace_back(mixing(kNow, m) *
-                                              root.col(static_cast<Eigen::Index>(k)).head<3>());
-      }
+  void SetGroundErrors(const GroundErrors& errors) {
+    for (Eigen::Index k = 0; k < errors[kNow].cols(); ++k) {
+      Image<Eigen::Vector3f> sum(v_.size(), kNone.cast<float>());
+      ForEachIndex(sum.pixel_count(), [&](std::size_t i) {
+        if (v_.from.data()[i] == VelocityFrom::kNone) return;
+        Eigen::Vector3d total = Eigen::Vector3d::Zero();
+        for (int f = 0; f < 3; ++f) {
+          const double by = v_.per_s.data()[i][f];
+          if (by == 0) continue;
+          const auto error = errors[static_cast<std::size_t>(f)].col(k);
+          const Eigen::Vector3d turn = error.head<3>(), shift = error.tail<3>();
+          total +=
+              by * (turn.cross(Interpolated(SharesOf(f, i), triple_.ground(f).point_mm)) + shift);
+        }
+        sum.data()[i] = total.cast<float>();
+      });
+      v_.along_common_mm_s.push_back(std::move(sum));
+      v_.turn_along_common_rad.emplace_back(errors[kNow].col(k).head<3>());
     }
+  }
+
+  void SetModes() {
+    std::array<const Image<Eigen::Vector3f>*, 3> errors{};
     const UncertainFrame& ground = triple_.at(kNow)->ground;
     for (std::size_t k = 0; k < triple_.ground(kNow).along_modes_mm.size(); ++k) {
-      take(&SurfacePoints::along_modes_mm, k);
-      v_.along_modes_mm_s.push_back(Combined(errors, Eigen::Vector3d::Ones()));
+      for (int f = 0; f < 3; ++f) {
+        if (triple_.at(f) == nullptr) continue;
+        errors[static_cast<std::size_t>(f)] = &triple_.ground(f).along_modes_mm[k];
+      }
+      v_.along_modes_mm_s.push_back(Combined(errors));
       Eigen::Vector3d turn = Eigen::Vector3d::Zero();
       if (!ground.along_modes.empty()) {
         turn = (ground.along_modes[k] * ground.frame_from_rig.Inverse()).RotationVector();
@@ -261,9 +275,6 @@ struct Sources {
 void MaterialVelocityOptions::Check() const {
   if (!(reach_mm >= 0) || !std::isfinite(reach_mm)) {
     throw UsageError("The reach over which material is looked for has to be 0 mm or more.");
-  }
-  if (!(ground_correlation >= 0 && ground_correlation < 1)) {
-    throw UsageError("The correlation of two ground frames in a row lies in 0 up to below 1.");
   }
 }
 

@@ -31,8 +31,6 @@ struct MaterialVelocityOptions {
   // Points of the other frame so near along the surface (mm) tell where material was. 0: 1.7 times
   // the median distance of neighbours in it.
   double reach_mm = 0;
-  // Of the errors of the ground frames of two frames in a row, as a smoother leaves them.
-  double ground_correlation = 0;
 
   // Throws UsageError naming the broken constraint.
   void Check() const;
@@ -50,7 +48,7 @@ struct MaterialVelocity {
   // Over the time since the frame before and until the frame after, each by itself.
   Image<Eigen::Vector3d> before_mm_s, after_mm_s;
   Image<Eigen::Matrix<float, 6, 1>> cov_random_mm2_s2;  // independent noise: xx xy xz yy yz zz
-  // What one sigma does of each random error in common (six a ground frame) and of each mode; and
+  // What one sigma does of each random error in common (of the ground frames) and of each mode; and
   // how it turns the ground frame of the moment (rad).
   std::vector<Image<Eigen::Vector3f>> along_common_mm_s, along_modes_mm_s;
   std::vector<Eigen::Vector3d> turn_along_common_rad, turn_along_modes_rad;
@@ -72,6 +70,10 @@ struct FrameTriple {
   const MaterialFrame* before = nullptr;
   const MaterialFrame* now = nullptr;
   const MaterialFrame* after = nullptr;
+  // How the random errors of their ground frames hang together: what one sigma of each independent
+  // one does to each of the three (turn and shift, as UncertainFrame::cov_random has them), one
+  // column an error. Empty: each has errors of its own.
+  std::array<Eigen::Matrix<double, 6, Eigen::Dynamic>, 3> ground_errors = {};
 };
 
 // Where the material of a point was in another frame: the plane that fits that frame's points in
@@ -85,8 +87,8 @@ struct FrameTriple {
 // takes only those neighbours in which its material does so too, if there is one: under the tyre
 // material moves straight, before and behind it does not (docs/theory.md).
 //
-// Throws UsageError from the options; std::invalid_argument where grids, modes or contact differ or
-// errors are in common; InputError where the times do not grow.
+// Throws UsageError from the options; std::invalid_argument where grids, modes, contact or numbers
+// of errors differ or points have errors in common; InputError where the times do not grow.
 // The same for any number of threads. Accuracy: tests/track/material_velocity_test.cc.
 [[nodiscard]] MaterialVelocity VelocityOfMaterial(const FrameTriple& frames,
                                                   const NeighbourCorrelation& neighbours,

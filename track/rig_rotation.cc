@@ -3,6 +3,7 @@
 #include <fmt/format.h>
 
 #include <Eigen/Cholesky>
+#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
@@ -203,8 +204,11 @@ RigRotationFrame FrameOf(const PoseObservation& frame, const SmoothedPose& smoot
   RigRotationFrame result;
   result.time_s = frame.time_s;
   result.pose = smoothed.pose;
+  result.errors = smoothed.errors;
   result.cov_random = smoothed.cov;
-  for (const RigPose& common : smoothed.common) result.cov_random += common * common.transpose();
+  for (const RigPose& common : smoothed.errors.common) {
+    result.cov_random += common * common.transpose();
+  }
   result.along_modes = smoothed.along_modes;
   result.sigma_random = result.cov_random.diagonal().cwiseMax(0).cwiseSqrt();
   for (const RigPose& change : smoothed.along_modes) {
@@ -289,6 +293,17 @@ GroundPlane PlaneOf(const RigPose& pose, const WheelAxis& axis) {
 Rigid3 GroundOf(const RigPose& pose, const WheelAxis& axis) {
   const GroundPlane plane = PlaneOf(pose, axis);
   return GroundFromRig(plane, axis.direction_in_rig().cross(plane.normal), axis.origin_in_rig_mm());
+}
+
+Eigen::Matrix<double, 6, 3> GroundJacobian(const RigPose& pose, const WheelAxis& axis) {
+  constexpr double kStep = 1e-5;
+  const Rigid3 back = GroundOf(pose, axis).Inverse();
+  Eigen::Matrix<double, 6, 3> J;
+  for (int k = 0; k < 3; ++k) {
+    const Rigid3 moved = GroundOf(pose + kStep * RigPose::Unit(k), axis) * back;
+    J.col(k) << moved.RotationVector() / kStep, moved.translation_mm / kStep;
+  }
+  return J;
 }
 
 PoseObservation ObservePlane(double time_s, const GroundPlane& plane, const WheelAxis& axis,
@@ -379,6 +394,43 @@ RigRotation SmoothRigRotation(std::span<const PoseObservation> frames, const Whe
   }
   if (!result.found) result.problem = result.frames.front().problem;
   return result;
+}
+
+Eigen::Matrix3d RandomCovariance(std::span<const RigRotationFrame> frames, std::size_t a,
+                                 std::size_t b) {
+  PoseErrors::Matrix cov = frames[b].errors.cov;
+  for (std::size_t k = b; k-- > a;) cov = (frames[k].errors.gain * cov).eval();
+  Eigen::Matrix3d of_poses = internal::PoseOf(cov);
+  for (std::size_t c = 0; c < kPoseCommon; ++c) {
+    of_poses += frames[a].errors.common[c] * frames[b].errors.common[c].transpose();
+  }
+  return of_poses;
+}
+
+double SigmaOfTurn(std::span<const RigRotationFrame> frames, std::size_t a, std::size_t b) {
+  return std::sqrt(std::max(0.0, RandomCovariance(frames, a, a)(0, 0) +
+                                     RandomCovariance(frames, b, b)(0, 0) -
+                                     2 * RandomCovariance(frames, a, b)(0, 0)));
+}
+
+Eigen::MatrixXd RandomRoot(std::span<const RigRotationFrame> frames) {
+  const auto rows = static_cast<Eigen::Index>(3 * frames.size());
+  Eigen::MatrixXd joint(rows, rows);
+  for (std::size_t a = 0; a < frames.size(); ++a) {
+    for (std::size_t b = a; b < frames.size(); ++b) {
+      const auto i = static_cast<Eigen::Index>(3 * a), j = static_cast<Eigen::Index>(3 * b);
+      const Eigen::Matrix3d cov = RandomCovariance(frames, a, b);
+      joint.block<3, 3>(i, j) = cov;
+      joint.block<3, 3>(j, i) = cov.transpose();
+    }
+  }
+  // In sigmas: angles and heights have other units.
+  const Eigen::VectorXd sigma = joint.diagonal().cwiseMax(0).cwiseSqrt();
+  const Eigen::VectorXd by = (sigma.array() > 0).select(sigma.cwiseInverse(), 0);
+  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(by.asDiagonal() * joint *
+                                                              by.asDiagonal());
+  return sigma.asDiagonal() * solver.eigenvectors() *
+         solver.eigenvalues().cwiseMax(0).cwiseSqrt().asDiagonal();
 }
 
 Rigid3 ManualGround(const Eigen::Vector3d& turns_deg,

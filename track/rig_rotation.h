@@ -33,6 +33,8 @@ Eigen::Matrix3d PoseJacobian(const GroundPlane& plane, const WheelAxis& axis);
 GroundPlane PlaneOf(const RigPose& pose, const WheelAxis& axis);
 // ground_from_rig as in RigRotationFrame::ground.
 Rigid3 GroundOf(const RigPose& pose, const WheelAxis& axis);
+// How that frame turns and shifts (as UncertainFrame::cov_random has it) with the pose.
+Eigen::Matrix<double, 6, 3> GroundJacobian(const RigPose& pose, const WheelAxis& axis);
 
 // Errors that are the same in all frames: of a lasting asymmetry or of the carcass's thickness, and
 // of the edge of narrow contacts.
@@ -97,6 +99,20 @@ struct RigRotationOptions {
   void Check() const;
 };
 
+// How the random errors of smoothed frames hang together. What is smoothed is a state (pitch, its
+// rate, roll, height, its rate, height of the top stood on) that follows from the one before and
+// noise: with the smoother's gains G the errors of two frames a < b have
+//   cov(x_a, x_b) = G_a G_a+1 ... G_b-1 P_b
+// (the lag-one covariance smoother, Shumway and Stoffer, J. Time Series Analysis 3(4), 1982,
+// further on). Errors that all frames have in common come on top.
+struct PoseErrors {
+  static constexpr int kState = 6;
+  using Matrix = Eigen::Matrix<double, kState, kState>;
+  Matrix cov = Matrix::Zero();   // P, of the state
+  Matrix gain = Matrix::Zero();  // G, to the next frame
+  std::array<RigPose, kPoseCommon> common = {RigPose::Zero(), RigPose::Zero()};
+};
+
 struct RigRotationFrame {
   enum class From { kPlane, kObstacle, kPitch, kSmoother, kOutlier };
   double time_s = 0;
@@ -106,6 +122,7 @@ struct RigRotationFrame {
   From from = From::kSmoother;
   RigPose pose = RigPose::Zero();
   Eigen::Matrix3d cov_random = Eigen::Matrix3d::Zero();
+  PoseErrors errors;                 // that cov_random is of
   std::vector<RigPose> along_modes;  // less `pose`
   RigPose sigma_random = RigPose::Zero(), sigma_calibration = RigPose::Zero();
   // kObstacle: from narrow contacts, on an obstacle or beside it.
@@ -144,6 +161,16 @@ struct RigRotation {
                                             const WheelAxis& axis,
                                             std::span<const WheelAxis> axis_along_modes = {},
                                             const RigRotationOptions& options = {});
+
+// Of the random errors of the poses of frames a <= b, in a row: a's entries by b's.
+[[nodiscard]] Eigen::Matrix3d RandomCovariance(std::span<const RigRotationFrame> frames,
+                                               std::size_t a, std::size_t b);
+// Of how far the ground turns in the rig, about the wheel's axis, from a to b.
+[[nodiscard]] double SigmaOfTurn(std::span<const RigRotationFrame> frames, std::size_t a,
+                                 std::size_t b);
+// What one sigma of each independent random error does to the poses of all frames, one below the
+// other: a root of their joint covariance.
+[[nodiscard]] Eigen::MatrixXd RandomRoot(std::span<const RigRotationFrame> frames);
 
 // By hand: the rig turned about its own x, then y, then z axis (as they stand) by constant angles,
 // and moved along the turned z so that the lowest of the undeformed points is at z = 0. The

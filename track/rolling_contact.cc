@@ -41,18 +41,6 @@ struct FrameOverGround {
   SurfacePoints undeformed;
 };
 
-// How a ground frame turns and shifts (as UncertainFrame tells it) with the pose of the rig.
-Eigen::Matrix<double, 6, 3> FrameAlongPose(const RigPose& pose, const WheelAxis& axis) {
-  constexpr double kStep = 1e-5;
-  const Rigid3 back = GroundOf(pose, axis).Inverse();
-  Eigen::Matrix<double, 6, 3> J;
-  for (int k = 0; k < 3; ++k) {
-    const Rigid3 moved = GroundOf(pose + kStep * RigPose::Unit(k), axis) * back;
-    J.col(k) << moved.RotationVector() / kStep, moved.translation_mm / kStep;
-  }
-  return J;
-}
-
 // Even-odd rule over all outlines: holes are outside.
 bool Inside(const std::vector<Polygon>& outlines, const Eigen::Vector2d& p) {
   bool inside = false;
@@ -104,7 +92,7 @@ class ContactOfRun {
   std::optional<FrameOverGround> OverGround(std::size_t f, const RollingContact& contact) const;
   Image<std::uint8_t> InContact(const FramePoints& points, const RollingContactFrame& frame) const;
   void Deform(std::size_t f, const FrameOverGround& now, RollingContactFrame* out) const;
-  void Slip(std::size_t f, const FrameTriple& frames, RollingContact* contact) const;
+  void Slip(std::size_t f, FrameTriple frames, RollingContact* contact) const;
   bool Placed(std::size_t f) const {
     return rolling_.frames[f].status == RollingFrameStatus::kPlaced;
   }
@@ -368,7 +356,7 @@ void ContactOfRun::Deform(std::size_t f, const FrameOverGround& now,
   out->deformation = MeasureDeformation(wheel, neighbours_, options_.deformation);
 }
 
-void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContact* contact) const {
+void ContactOfRun::Slip(std::size_t f, FrameTriple frames, RollingContact* contact) const {
   RollingContactFrame* out = &contact->frames[f];
   if (!clock_) {
     out->slip.problem = "the frames have no times";
@@ -378,18 +366,24 @@ void ContactOfRun::Slip(std::size_t f, const FrameTriple& frames, RollingContact
     out->slip.problem = "no frame beside this one is placed over the ground";
     return;
   }
-  MaterialVelocityOptions options;
-  options.ground_correlation = internal::kPosesAlike;
-  const MaterialVelocity velocity = VelocityOfMaterial(frames, neighbours_, options);
+  const std::size_t first = frames.before != nullptr ? f - 1 : f;
+  const std::size_t last = frames.after != nullptr ? f + 1 : f;
+  std::vector<RigRotationFrame> grounds;
+  for (std::size_t k = first; k <= last; ++k) grounds.push_back(contact->frames[k].rotation);
+  const Eigen::MatrixXd root = RandomRoot(grounds);
+  for (std::size_t k = 0; k < grounds.size(); ++k) {
+    frames.ground_errors[first + k + 1 - f] = GroundJacobian(grounds[k].pose, reference_.axis) *
+                                              root.middleRows(3 * static_cast<Eigen::Index>(k), 3);
+  }
+  const MaterialVelocity velocity = VelocityOfMaterial(frames, neighbours_);
   WheelTurning wheel;
   wheel.axis = reference_.axis;
   wheel.cov_axis_random = reference_.cov_axis_random;
   wheel.axis_along_modes = reference_.axis_along_modes;
-  const std::size_t first = frames.before != nullptr ? f - 1 : f;
-  const std::size_t last = frames.after != nullptr ? f + 1 : f;
   wheel.speed_rad_s =
-      internal::TurningOverGround(rolling_, first, f, last, contact->frames[first].rotation,
-                                  contact->frames[last].rotation, internal::kPosesAlike);
+      internal::TurningOverGround(rolling_, first, f, last, grounds.front(), grounds.back());
+  wheel.speed_along_common_rad_s =
+      (root.row(0) - root.row(root.rows() - 3)) / (grounds.back().time_s - grounds.front().time_s);
   std::optional<MeasuredScalar> channel;
   if (options_.vehicle_speed_mm_s) {
     const double from_s = TimeOf(first), to_s = TimeOf(last);
@@ -459,7 +453,7 @@ UncertainFrame GroundFrameOf(const RigRotationFrame& rotation, const WheelAxis& 
   UncertainFrame ground;
   ground.frame_from_rig = rotation.ground.frame_from_rig;
   ground.along_modes = rotation.ground.along_modes;
-  const Eigen::Matrix<double, 6, 3> J = FrameAlongPose(rotation.pose, axis);
+  const Eigen::Matrix<double, 6, 3> J = GroundJacobian(rotation.pose, axis);
   ground.cov_random = J * rotation.cov_random * J.transpose();
   return ground;
 }

@@ -62,7 +62,7 @@ struct RollingContact {
 //   points -> planes of flat contacts, or symmetry -> smoothed rotation of the rig -> ground
 //          -> contact patch (law of lift-off), deformation, velocity of the material, slip
 //
-// Ground frames of frames in a row, as a smoother leaves them, are taken to err alike.
+// Ground frames of frames in a row err as the smoother leaves them (RandomCovariance()).
 // Where the carcass's thickness has a sigma, reference and survey are those of WithCarcassModes().
 // Throws UsageError from the options, InputError as ObserveGround and SmoothRigRotation,
 // std::invalid_argument where the reference has fewer modes than the carcass.

@@ -132,10 +132,10 @@ class Wheel {
   double forwards() const { return heading_.dot(over_ground()); }
   double sideways() const { return left_.dot(over_ground()); }
 
-  // Errors of what changes so by the wheel's velocity along its heading and to the left. A turn of
-  // the heading to the left by one radian adds sideways() to the former and takes forwards() from
-  // the latter.
-  ErrorSum Of(double by_forwards, double by_sideways) const {
+  // Errors of what changes so by the wheel's velocity along its heading and to the left, and by how
+  // fast it turns. A turn of the heading to the left by one radian adds sideways() to the first and
+  // takes forwards() from the second.
+  ErrorSum Of(double by_forwards, double by_sideways, double by_turning = 0) const {
     const Eigen::RowVector3d by_velocity =
         -(by_forwards * heading_ + by_sideways * left_).transpose();
     const double by_heading = by_forwards * sideways() - by_sideways * forwards();
@@ -148,6 +148,12 @@ class Wheel {
     errors.AddIndependent(by_velocity * sticking_.cov_independent * by_velocity.transpose());
     errors.AddCommon(by_velocity * sticking_.along_common +
                      by_axis * by_turn * Columns(velocity_.turn_along_common_rad));
+    if (by_turning != 0) {
+      errors.AddScalar(by_turning, wheel_.speed_rad_s);
+      if (wheel_.speed_along_common_rad_s.size() > 0) {
+        errors.AddCommon(by_turning * wheel_.speed_along_common_rad_s);
+      }
+    }
     errors.AddModes(by_velocity * sticking_.along_modes +
                     by_axis * by_turn * Columns(velocity_.turn_along_modes_rad));
     // The wheel's own axis: direction = rotation (e_y + it x e_y).
@@ -225,8 +231,7 @@ void SetRatios(const Wheel& wheel, const WheelTurning& turning,
   const double omega = turning.speed_rad_s.value, speed = std::hypot(v, u);
   if (radius) {
     const double ratio = omega * radius->value / v - 1;
-    ErrorSum errors = wheel.Of(-(ratio + 1) / v, 0);
-    errors.AddScalar((ratio + 1) / omega, turning.speed_rad_s);
+    ErrorSum errors = wheel.Of(-(ratio + 1) / v, 0, (ratio + 1) / omega);
     errors.AddScalar((ratio + 1) / radius->value, *radius);
     slip.ratio = errors.Of(ratio);
   }
@@ -238,9 +243,8 @@ void SetRatios(const Wheel& wheel, const WheelTurning& turning,
   if (radius && channel) {
     // The channel gives the size of the velocity, the patch its direction: v = channel cos(alpha).
     const double ahead = channel->value * v / speed, ratio = omega * radius->value / ahead - 1;
-    ErrorSum errors =
-        wheel.Of(-(ratio + 1) * u * u / (v * speed * speed), (ratio + 1) * u / (speed * speed));
-    errors.AddScalar((ratio + 1) / omega, turning.speed_rad_s);
+    ErrorSum errors = wheel.Of(-(ratio + 1) * u * u / (v * speed * speed),
+                               (ratio + 1) * u / (speed * speed), (ratio + 1) / omega);
     errors.AddScalar((ratio + 1) / radius->value, *radius);
     errors.AddScalar(-(ratio + 1) / channel->value, *channel);
     slip.ratio_by_channel = errors.Of(ratio);
@@ -322,9 +326,7 @@ RollingSlip MeasureSlip(const MaterialVelocity& velocity, const FrameTriple& fra
   const double sign = options.convention == SlipConvention::kSaeJ670 ? -1 : 1;
   slip.slip_angle_rad =
       over.Of(-sign * u / (speed * speed), sign * v / (speed * speed)).Of(sign * std::atan2(u, v));
-  ErrorSum radius = over.Of(1 / omega, 0);
-  radius.AddScalar(-v / (omega * omega), wheel.speed_rad_s);
-  slip.effective_radius_mm = radius.Of(v / omega);
+  slip.effective_radius_mm = over.Of(1 / omega, 0, -v / (omega * omega)).Of(v / omega);
   SetRatios(over, wheel, free_rolling_radius_mm, channel_mm_s, slip);
   MapMotion(velocity, contact, weight, options.sliding_share * speed, options.sigmas, slip);
   return slip;

@@ -50,6 +50,9 @@ struct WheelTurning {
   // What one sigma of each calibration mode adds to these four (modes, 4). Empty: unknown.
   Eigen::MatrixXd axis_along_modes;
   MeasuredScalar speed_rad_s;  // positive: forwards. No modes: they do not change it
+  // What one sigma of each random error in common of the velocities adds to the speed besides
+  // (MaterialVelocity::along_common_mm_s). Empty: nothing.
+  Eigen::RowVectorXd speed_along_common_rad_s;
 };
 
 struct RollingSlipOptions {

@@ -10,7 +10,6 @@
 #include "calib/error.h"
 #include "calib/median.h"
 #include "track/internal/maximise.h"
-#include "track/internal/turning_over_ground.h"
 
 namespace plumbline {
 namespace {
@@ -245,7 +244,9 @@ class Leaning {
         const RigRotationFrame &a = rotation_[placed_[i]], &b = rotation_[placed_[i + 1]];
         pair.channel_rad =
             a.known[0] && b.known[0] ? pair.channel_rad + b.pose[0] - a.pose[0] : kNone;
-        sigma = std::hypot(sigma, internal::SigmaOfTurnedGround(a, b, internal::kPosesAlike));
+        if (a.known[0] && b.known[0]) {
+          sigma = std::hypot(sigma, SigmaOfTurn(rotation_, placed_[i], placed_[i + 1]));
+        }
       }
       sigmas_.push_back(sigma);
       pair.drift_rad = rolling_.deformation.frames[placed_[i + 1]].turn_spread_rad;

@@ -158,9 +158,9 @@ TEST(MaterialVelocity, RefusesWhatDoesNotFit) {
   EXPECT_THROW(
       (void)VelocityOfMaterial({nullptr, &now.frame, &after.frame}, neighbours, {.reach_mm = -1}),
       UsageError);
-  EXPECT_THROW((void)VelocityOfMaterial({nullptr, &now.frame, &after.frame}, neighbours,
-                                        {.ground_correlation = 1}),
-               UsageError);
+  FrameTriple uneven{nullptr, &now.frame, &after.frame};
+  uneven.ground_errors[1].setZero(6, 2);
+  EXPECT_THROW((void)VelocityOfMaterial(uneven, neighbours), std::invalid_argument);
   auto other = after;
   other.frame.points.along_modes_mm.emplace_back(after.frame.points.size(),
                                                  Eigen::Vector3f::Zero());
@@ -184,9 +184,22 @@ class NoisyVelocity : public ::testing::Test {
     }
   }
 
+  // Each frame has of the ground's errors what the one before has, by so much, and errors of its
+  // own.
+  FrameTriple Triple(const std::vector<MaterialFrame>& frames) const {
+    FrameTriple triple{&frames[0], &frames[1], &frames[2]};
+    const Eigen::Matrix<double, 6, 6> root = frames[1].ground.Root();
+    for (auto& errors : triple.ground_errors) errors.setZero(6, 18);
+    triple.ground_errors[0].leftCols<6>() = root;
+    for (std::size_t f = 1; f < 3; ++f) {
+      triple.ground_errors[f] = kGroundCorrelation * triple.ground_errors[f - 1];
+      triple.ground_errors[f].middleCols<6>(6 * static_cast<Eigen::Index>(f)) =
+          std::sqrt(1 - kGroundCorrelation * kGroundCorrelation) * root;
+    }
+    return triple;
+  }
   MaterialVelocity Of(const std::vector<MaterialFrame>& frames) const {
-    return VelocityOfMaterial({&frames[0], &frames[1], &frames[2]}, wheel_.neighbours(),
-                              {.ground_correlation = kGroundCorrelation});
+    return VelocityOfMaterial(Triple(frames), wheel_.neighbours());
   }
 
   RollingWheel wheel_;
@@ -210,8 +223,7 @@ TEST_F(NoisyVelocity, CovarianceIsThatOfSampling) {
   ASSERT_GT(places.size(), 8U);
   Image<double> weight(exact.size(), 0.0);
   for (const std::size_t i : places) weight.data()[i] = 1.0 / static_cast<double>(places.size());
-  const FrameTriple exact_frames{&frames_[0], &frames_[1], &frames_[2]};
-  const MeanVelocity mean = MeanOf(exact, exact_frames, weight, wheel_.neighbours());
+  const MeanVelocity mean = MeanOf(exact, Triple(frames_), weight, wheel_.neighbours());
   const Eigen::Matrix3d mean_cov =
       mean.cov_independent + mean.along_common * mean.along_common.transpose();
   constexpr int kDraws = 200;

@@ -4,11 +4,15 @@
 
 #include <Eigen/Cholesky>
 #include <cmath>
+#include <numbers>
 #include <random>
+#include <span>
+#include <vector>
 
 #include "calib/error.h"
 #include "fit/flat_contact.h"
 #include "tests/support/tyre_frames.h"
+#include "track/internal/pose_filter.h"
 #include "track/surface_plane.h"
 
 namespace plumbline {
@@ -107,6 +111,128 @@ TEST(RigRotation, AStiffArmAveragesAllFrames) {
   }
   EXPECT_LT(tally.rms(), 0.005 * kDegree);
   EXPECT_GT(tally.coverage(), 0.88);
+}
+
+// Of the errors of three frames in a row, normalised by what is claimed: all together, and of the
+// ground's turn over both intervals by itself. And the turn's sigma, mean.
+struct JointErrors {
+  double nees = 0, turn = 0, sigma_turn = 0;
+};
+
+// Frame 7 says nothing by itself; all frames have an error in common besides. The arm walks as
+// it is told to.
+JointErrors JointErrorsOf(double pitch_deg_per_sqrt_s, std::size_t first) {
+  constexpr int kDraws = 500, kFrames = 14;
+  const RigPose common(4e-5, -3e-5, 2e-3);
+  RigRotationOptions options;
+  options.pitch_deg_per_sqrt_s = pitch_deg_per_sqrt_s;
+  options.roll_deg_per_sqrt_s = 0.05;
+  options.height_mm_per_sqrt_s = 0.1;
+  options.unseen_height_mm_per_sqrt_s = 0;
+  std::mt19937 random(8);
+  std::normal_distribution<double> normal;
+  JointErrors mean;
+  for (int draw = 0; draw < kDraws; ++draw) {
+    std::vector<PoseObservation> seen;
+    std::vector<RigPose> truth;
+    RigPose pose(-0.06, 0.004, 386);
+    const double off = normal(random);
+    for (int f = 0; f < kFrames; ++f) {
+      const double t = 0.02 * f;
+      truth.push_back(pose);
+      seen.push_back(f == 7 ? Unseen(t) : Seen(t, pose + off * common, random));
+      if (f != 7) seen.back().common[0] = common;
+      pose[0] += pitch_deg_per_sqrt_s * kDegree * std::sqrt(0.02) * normal(random);
+      pose[1] += 0.05 * kDegree * std::sqrt(0.02) * normal(random);
+      pose[2] += 0.1 * std::sqrt(0.02) * normal(random);
+    }
+    const RigRotation rotation = SmoothRigRotation(seen, SomeAxis(), {}, options);
+    const std::span<const RigRotationFrame> frames(rotation.frames);
+    Eigen::Matrix<double, 9, 1> error;
+    for (std::size_t k = 0; k < 3; ++k) {
+      error.segment<3>(3 * static_cast<Eigen::Index>(k)) =
+          frames[first + k].pose - truth[first + k];
+    }
+    const Eigen::MatrixXd root = RandomRoot(frames.subspan(first, 3));
+    mean.nees += error.dot((root * root.transpose()).ldlt().solve(error)) / 9 / kDraws;
+    const double sigma = SigmaOfTurn(frames, first, first + 2);
+    mean.turn += std::pow((error[6] - error[0]) / sigma, 2) / kDraws;
+    mean.sigma_turn += sigma / kDraws;
+    EXPECT_LT((RandomCovariance(frames, first, first) - frames[first].cov_random).norm(), 1e-12);
+  }
+  return mean;
+}
+
+TEST(RigRotation, ErrorsOfFramesHangTogetherAsTheySay) {
+  constexpr double kWithin = 4 * std::numbers::sqrt2 / 22.36;  // of the mean of 500 squares
+  double loose_sigma = 0;
+  for (const double walk_deg : {3.0, 0.1, 0.01}) {
+    for (const std::size_t first : {4U, 6U, 0U}) {
+      const JointErrors errors = JointErrorsOf(walk_deg, first);
+      EXPECT_NEAR(errors.nees, 1, kWithin / 3) << walk_deg << ' ' << first;
+      EXPECT_NEAR(errors.turn, 1, kWithin) << walk_deg << ' ' << first;
+      if (walk_deg == 3.0 && first == 4) loose_sigma = errors.sigma_turn;
+      // A stiff arm's errors are the same in all frames, a loose one's are not at all.
+      if (walk_deg == 0.01) {
+        EXPECT_LT(errors.sigma_turn, 0.2 * loose_sigma);
+      }
+    }
+  }
+}
+
+// With rates, and a top that is stood on: all that the state has.
+TEST(RigRotation, ErrorsOfFramesHangTogetherWithRates) {
+  constexpr int kDraws = 1000, kFrames = 10;
+  internal::PoseModel model;
+  model.with_rate = true;
+  model.noise = RigPose(0.02, 1e-3, 5);  // rad, rad, mm a s^1.5 (roll: sqrt(s))
+  model.prior = RigPose(-0.06, 0.004, 386);
+  model.prior_sigma = RigPose(0.01, 0.01, 5);
+  model.obstacle_mm = 20;
+  model.sigma_obstacle_mm = 10;
+  std::mt19937 random(9);
+  std::normal_distribution<double> normal;
+  double nees = 0, turn = 0;
+  for (int draw = 0; draw < kDraws; ++draw) {
+    RigPose pose, rate(0.35 * normal(random), 0, 200 * normal(random));
+    for (int k = 0; k < 3; ++k) pose[k] = model.prior[k] + model.prior_sigma[k] * normal(random);
+    const double top_mm = model.obstacle_mm + model.sigma_obstacle_mm * normal(random);
+    std::vector<PoseObservation> seen;
+    std::vector<RigPose> truth;
+    for (int f = 0; f < kFrames; ++f) {
+      truth.push_back(pose);
+      PoseObservation frame = Seen(0.02 * f, pose, random);
+      if (f > 2) {
+        frame.top.emplace();
+        frame.top->below_axis_mm = pose[2] - top_mm + 4e-3 * normal(random);
+        frame.top->cov = Eigen::Vector4d(0, 0, 0, 1.6e-5);
+        frame.top->as_before = true;
+        if (f > 4) frame.of = PoseObservation::Of::kTurns;
+      }
+      seen.push_back(frame);
+      for (const int k : {0, 2}) {
+        // The white noise of the rate, and what it has moved the place by meanwhile.
+        const double q = model.noise[k], dt = 0.02, a = normal(random), b = normal(random);
+        const double rate_by = q * std::sqrt(dt) * a;
+        pose[k] += rate[k] * dt + dt / 2 * rate_by + q * std::sqrt(dt * dt * dt / 12) * b;
+        rate[k] += rate_by;
+      }
+      pose[1] += model.noise[1] * std::sqrt(0.02) * normal(random);
+    }
+    const std::vector<internal::SmoothedPose> poses =
+        internal::SmoothPoses(seen, std::vector<std::uint8_t>(kFrames, 1), model);
+    std::vector<RigRotationFrame> frames(3);
+    Eigen::Matrix<double, 9, 1> error;
+    for (std::size_t k = 0; k < 3; ++k) {
+      frames[k].errors = poses[5 + k].errors;
+      error.segment<3>(3 * static_cast<Eigen::Index>(k)) = poses[5 + k].pose - truth[5 + k];
+    }
+    const Eigen::MatrixXd root = RandomRoot(frames);
+    nees += error.dot((root * root.transpose()).ldlt().solve(error)) / 9 / kDraws;
+    turn += std::pow((error[6] - error[0]) / SigmaOfTurn(frames, 0, 2), 2) / kDraws;
+  }
+  EXPECT_NEAR(nees, 1, 4 * std::sqrt(2.0 / 9 / kDraws));
+  EXPECT_NEAR(turn, 1, 4 * std::sqrt(2.0 / kDraws));
 }
 
 RigPose Swing(double time_s) {

@@ -123,7 +123,7 @@ TEST_F(RollingContactOfAnArc, TheEndsOfARecordingHaveTheSpeedOfTheirOwnMoment) {
   from.time_s = 0;
   to.time_s = 0.1;
   to.pose[0] = 0.02;
-  const MeasuredScalar turning = internal::TurningOverGround(*survey_, 1, 2, 3, from, to, 0.9);
+  const MeasuredScalar turning = internal::TurningOverGround(*survey_, 1, 2, 3, from, to);
   EXPECT_NEAR(turning.value, survey_->frames[2].speed_rad_s - 0.2, 1e-12);
 }
 

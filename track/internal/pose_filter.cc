@@ -28,8 +28,6 @@ int AnglesAndHeight(const PoseObservation& frame) {
   }
 }
 
-// Pitch, roll, height out of the state.
-constexpr int kPlaceOf[3] = {0, 2, 3};
 constexpr int kTop = 5;
 constexpr Eigen::Index kFixedColumns = 1 + kPoseCommon;
 
@@ -144,6 +142,14 @@ void Update(const Innovation& in, Gaussian* state) {
 
 }  // namespace
 
+Eigen::Matrix3d PoseOf(const PoseStateCov& cov) {
+  Eigen::Matrix3d of_pose;
+  for (int i = 0; i < 3; ++i) {
+    for (int j = 0; j < 3; ++j) of_pose(i, j) = cov(kPlaceOf[i], kPlaceOf[j]);
+  }
+  return of_pose;
+}
+
 PoseLikelihood LikelihoodOf(std::span<const PoseObservation> frames, const PoseModel& model,
                             bool backwards) {
   PoseLikelihood result;
@@ -199,6 +205,7 @@ std::vector<SmoothedPose> SmoothPoses(std::span<const PoseObservation> frames,
     if (taken[k] != 0) Update(Innovate(frames[k], filtered.back()), &filtered.back());
   }
   std::vector<Gaussian> smoothed = filtered;
+  std::vector<SmoothedPose> poses(frames.size());
   for (std::size_t k = frames.size(); k-- > 1;) {
     const Gaussian& before = filtered[k - 1];
     const PoseStateCov gain =
@@ -206,8 +213,8 @@ std::vector<SmoothedPose> SmoothPoses(std::span<const PoseObservation> frames,
     smoothed[k - 1].mean = before.mean + gain * (smoothed[k].mean - predicted[k].mean);
     smoothed[k - 1].cov =
         before.cov + gain * (smoothed[k].cov - predicted[k].cov) * gain.transpose();
+    poses[k - 1].errors.gain = gain;
   }
-  std::vector<SmoothedPose> poses(frames.size());
   for (std::size_t k = 0; k < frames.size(); ++k) {
     const auto pick = [&](Eigen::Index column) {
       const auto& mean = smoothed[k].mean;
@@ -215,16 +222,13 @@ std::vector<SmoothedPose> SmoothPoses(std::span<const PoseObservation> frames,
     };
     poses[k].pose = pick(0);
     for (std::size_t c = 0; c < kPoseCommon; ++c) {
-      poses[k].common[c] = pick(1 + static_cast<Eigen::Index>(c));
+      poses[k].errors.common[c] = pick(1 + static_cast<Eigen::Index>(c));
     }
     for (Eigen::Index m = 0; m < modes; ++m) {
       poses[k].along_modes.push_back(pick(kFixedColumns + m));
     }
-    for (int i = 0; i < 3; ++i) {
-      for (int j = 0; j < 3; ++j) {
-        poses[k].cov(i, j) = smoothed[k].cov(kPlaceOf[i], kPlaceOf[j]);
-      }
-    }
+    poses[k].errors.cov = smoothed[k].cov;
+    poses[k].cov = PoseOf(smoothed[k].cov);
   }
   return poses;
 }

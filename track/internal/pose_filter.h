@@ -1,7 +1,6 @@
 #pragma once
 
 #include <Eigen/Core>
-#include <array>
 #include <cstdint>
 #include <span>
 #include <vector>
@@ -10,10 +9,13 @@
 
 namespace plumbline::internal {
 
-// The state of the pose: pitch, its rate, roll, height, its rate, height of the top stood on.
-inline constexpr int kPoseState = 6;
+// The state of the pose, as in PoseErrors.
+inline constexpr int kPoseState = PoseErrors::kState;
 using PoseState = Eigen::Matrix<double, kPoseState, 1>;
-using PoseStateCov = Eigen::Matrix<double, kPoseState, kPoseState>;
+using PoseStateCov = PoseErrors::Matrix;
+// Pitch, roll and height out of it.
+inline constexpr int kPlaceOf[3] = {0, 2, 3};
+Eigen::Matrix3d PoseOf(const PoseStateCov& cov);
 
 struct PoseModel {
   bool with_rate = false;
@@ -36,8 +38,8 @@ PoseLikelihood LikelihoodOf(std::span<const PoseObservation> frames, const PoseM
 
 struct SmoothedPose {
   RigPose pose = RigPose::Zero();
-  Eigen::Matrix3d cov = Eigen::Matrix3d::Zero();
-  std::array<RigPose, kPoseCommon> common = {RigPose::Zero(), RigPose::Zero()};
+  Eigen::Matrix3d cov = Eigen::Matrix3d::Zero();  // without what is common
+  PoseErrors errors;
   std::vector<RigPose> along_modes;
 };
 

@@ -1,6 +1,5 @@
 #include "track/internal/turning_over_ground.h"
 
-#include <algorithm>
 #include <cmath>
 
 namespace plumbline::internal {
@@ -13,19 +12,13 @@ double MeanSpeed(const RollingWheel& wheel, std::size_t first, std::size_t f, st
 
 }  // namespace
 
-double SigmaOfTurnedGround(const RigRotationFrame& from, const RigRotationFrame& to, double alike) {
-  const double a = from.sigma_random[0], b = to.sigma_random[0];
-  return std::sqrt(std::max(0.0, a * a + b * b - 2 * alike * a * b));
-}
-
 MeasuredScalar TurningOverGround(const RollingWheel& wheel, std::size_t first, std::size_t f,
                                  std::size_t last, const RigRotationFrame& from,
-                                 const RigRotationFrame& to, double alike) {
+                                 const RigRotationFrame& to) {
   const double time_s = to.time_s - from.time_s;
   MeasuredScalar speed;
   speed.value = MeanSpeed(wheel, first, f, last) - (to.pose[0] - from.pose[0]) / time_s;
-  const double turned = SigmaOfTurnedGround(from, to, alike);
-  speed.sigma_random = std::hypot(wheel.frames[f].sigma_random_rad_s, turned / time_s);
+  speed.sigma_random = wheel.frames[f].sigma_random_rad_s;
   speed.along_modes = wheel.speed_along_modes_rad_s.col(static_cast<Eigen::Index>(f));
   for (Eigen::Index k = 0; k < speed.along_modes.size(); ++k) {
     const auto mode = static_cast<std::size_t>(k);
