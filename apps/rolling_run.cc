@@ -349,7 +349,10 @@ void RollingRun::LeanOn(const std::optional<WheelSpeedChannel>& channel, bool ov
 
 void RollingRun::FindContact(RollingContactOptions contact) {
   Impl& impl = *impl_;
-  contact.subset_px = impl.options.survey.matching.field.correlator.subset_px;
+  const CorrelatorOptions& correlator = impl.options.survey.matching.field.correlator;
+  contact.subset_px = correlator.subset_px;
+  contact.order = correlator.order;
+  contact.circular = correlator.shape == SubsetShape::kCircle;
   impl.threshold_mm = contact.patch.threshold.threshold_mm;
   impl.convention = kSlipConventionNames[static_cast<std::size_t>(contact.slip.convention)];
   impl.contact = FindRollingContact(impl.reference, impl.rolling, contact);

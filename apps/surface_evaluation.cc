@@ -11,7 +11,6 @@
 #include <vector>
 
 #include "apps/internal/body_motion.h"
-#include "apps/internal/correlation_area.h"
 #include "apps/internal/finite_median.h"
 #include "apps/internal/ground_record.h"
 #include "apps/internal/plane_points.h"
@@ -22,6 +21,7 @@
 #include "calib/mode_triangulation.h"
 #include "calib/parallel.h"
 #include "calib/triangulate.h"
+#include "match/correlation_area.h"
 #include "track/right_flow.h"
 #include "track/surface_motion.h"
 #include "track/surface_plane.h"
@@ -133,7 +133,7 @@ SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCo
   watch_stride =
       std::max(1, (reference.left.subset_px + reference.left.step_px - 1) / reference.left.step_px);
   plane_stride = std::max(1, reference.left.subset_px / (2 * reference.left.step_px));
-  correlation_area = internal::CorrelationArea(neighbours, grid);
+  correlation_area = CorrelationArea(neighbours, grid);
   options.ground.correlation_area_points = 1;
   unit = UnitCovariance(reference, reference);
   const internal::RigWatch::Verdict verdict =

@@ -11,6 +11,7 @@
 #include "calib/error.h"
 #include "calib/median.h"
 #include "calib/mode_triangulation.h"
+#include "match/correlation_area.h"
 #include "match/neighbour_correlation.h"
 #include "track/internal/axis_along_modes.h"
 #include "track/internal/turning_over_ground.h"
@@ -65,10 +66,9 @@ class ContactOfRun {
         options_(options),
         modes_(reference.rig),
         axes_(internal::AxesAlongModes(reference)),
-        neighbours_(NeighbourCorrelation::OfOverlap(rolling.grid, rolling.spacing_px,
-                                                    options.subset_px, 1)) {
-    const double area =
-        std::pow(std::max(1.0, static_cast<double>(options.subset_px) / rolling.spacing_px), 2);
+        neighbours_(NeighbourCorrelation::OfOverlap(
+            rolling.grid, rolling.spacing_px, options.subset_px, options.order, options.circular)) {
+    const double area = CorrelationArea(neighbours_, rolling.grid);
     options_.ground.flat.correlation_area_points = area;
     options_.ground.levels.correlation_area_points = area;
     options_.ground.symmetry.correlation_area_points = area;

@@ -23,7 +23,10 @@ struct RollingContactOptions {
   PatchSeriesOptions patch;  // noise and correlation are those of the points
   RollingSlipOptions slip;
   WheelDeformationOptions deformation;
-  int subset_px = 21;  // of the survey: how far neighbours go together
+  // Of the survey's correlation: how far neighbours go together. A subset of order 2 leans on its
+  // middle, so that neighbours have less in common than their subsets share.
+  int subset_px = 21, order = 1;
+  bool circular = false;
   // The ground by hand in place of the planes: turns about the rig's x, y, z (ManualGround()).
   std::optional<Eigen::Vector3d> manual_turns_deg;
   // Travel a radian at zero slip, and its sigma; and the vehicle's speed by a channel.

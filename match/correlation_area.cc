@@ -1,8 +1,8 @@
-#include "apps/internal/correlation_area.h"
+#include "match/correlation_area.h"
 
 #include <algorithm>
 
-namespace plumbline::internal {
+namespace plumbline {
 
 double CorrelationArea(const NeighbourCorrelation& neighbours, ImageSize grid) {
   constexpr int kSamples = 12;  // along each axis
@@ -22,4 +22,4 @@ double CorrelationArea(const NeighbourCorrelation& neighbours, ImageSize grid) {
   return std::max(1.0, sum / std::max(1, count));
 }
 
-}  // namespace plumbline::internal
+}  // namespace plumbline
