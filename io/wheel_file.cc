@@ -99,6 +99,12 @@ void WriteFrames(Writer& out, hid_t file, const WheelReference& wheel) {
                           {axis});
   out.Doubles("/frames/angle_covariance_random", "rad2", "of all angles together, from noise",
               {n, n}, Flat(wheel.cov_angles_random_rad2), {axis, axis});
+  if (wheel.cov_axis_angles_random.size() > 0) {
+    out.Doubles("/frames/axis_covariance_random", "1",
+                "random covariance of the angle with axis and distance, in the order of "
+                "/wheel/axis_covariance_random",
+                {n, 4}, Flat(wheel.cov_axis_angles_random.transpose()), {axis});
+  }
   out.Doubles("/frames/angle_along_modes", "rad", "what one sigma of each calibration mode adds",
               {static_cast<hsize_t>(wheel.angles_along_modes_rad.rows()), n},
               Flat(wheel.angles_along_modes_rad), {"/rig/mode", axis});
@@ -280,6 +286,10 @@ void ReadFrames(hid_t file, WheelReference& wheel) {
   }
   wheel.cov_angles_random_rad2 =
       ReadMatrix(file, "/frames/angle_covariance_random", angle.size(), angle.size());
+  if (hdf5::Exists(file, "/frames/axis_covariance_random")) {
+    wheel.cov_axis_angles_random =
+        ReadMatrix(file, "/frames/axis_covariance_random", angle.size(), 4).transpose();
+  }
   wheel.angles_along_modes_rad =
       ReadMatrix(file, "/frames/angle_along_modes", static_cast<hsize_t>(wheel.rig.modes.count()),
                  angle.size());

@@ -257,6 +257,24 @@ AngleSeries SeriesOf(const std::vector<double>& t, const Line& line, std::span<c
   return series;
 }
 
+// The covariance of each smoothed angle with that of a frame: what it follows a measurement of that
+// one by, times the measurement's variance. One that tells next to nothing serves where there is
+// none that counts.
+std::vector<double> CovariancesWith(AngleSeries series, double q, std::size_t frame) {
+  constexpr double kNextToNothing = 1e8;
+  if (!std::isfinite(series.variance[frame])) {
+    series.variance[frame] = kNextToNothing * MedianVariance(series);
+  }
+  std::fill(series.value.begin(), series.value.end(), 0.0);
+  std::fill(series.turn.begin(), series.turn.end(), 0.0);
+  series.value[frame] = 1;
+  std::vector<double> covariances;
+  for (const internal::AngleState& state : SweepAngles(series, q).state) {
+    covariances.push_back(state.angle * series.variance[frame]);
+  }
+  return covariances;
+}
+
 double FiniteOrNothing(double value) { return std::isfinite(value) ? value : 0; }
 
 }  // namespace
@@ -306,12 +324,22 @@ SmoothedAngles SmoothAngles(std::span<const double> times_s, std::span<const dou
   if (!options.jerk_rad_s25) *q *= out.scatter * out.scatter;
   out.jerk_rad_s25 = std::sqrt(*q / per_frame);
   const AngleSweep sweep = SweepAngles(series, *q);
+  const auto first =
+      static_cast<std::size_t>(std::find_if(angles_rad.begin(), angles_rad.end(),
+                                            [](double a) { return std::isfinite(a); }) -
+                               angles_rad.begin());
+  std::vector<double> with_first(n, 0.0);
+  if (first < n) with_first = CovariancesWith(series, *q, first);
   for (std::size_t i = 0; i < n; ++i) {
     SmoothedAngle& frame = out.frames[i];
     const internal::AngleState& state = sweep.state[i];
     frame.angle_rad = line.at_0 + line.slope * t[i] + state.angle;
     frame.speed_rad_s = (line.slope + state.speed) / frame_s;
     frame.sigma_angle_rad = std::sqrt(std::max(0.0, state.var_angle));
+    if (first < n && i != first) {
+      frame.sigma_turn_rad = std::sqrt(
+          std::max(0.0, state.var_angle + sweep.state[first].var_angle - 2 * with_first[i]));
+    }
     frame.sigma_speed_rad_s = std::sqrt(std::max(0.0, state.var_speed)) / frame_s;
     frame.outlier = outliers[i];
     frame.turn_outlier = outliers[n + i];

@@ -51,6 +51,7 @@ struct AngleTurns {
 struct SmoothedAngle {
   double angle_rad = 0, speed_rad_s = 0;
   double sigma_angle_rad = 0, sigma_speed_rad_s = 0;  // random
+  double sigma_turn_rad = 0;  // of the angle less that of the first frame that was measured
   // How much the result leans on the smoother: 1 less its derivative by the angle measured in this
   // frame. 1 where none was, or where it is an outlier.
   double lean = 1;

@@ -129,6 +129,9 @@ FramePoints ContactOfRun::PointsOf(std::size_t f) const {
     out.now.cov_random_mm2(r, c) = p.cov_random_mm2;
     out.cov_mm2(r, c) = CovarianceOf(p.cov_random_mm2);
     out.undeformed.point_mm(r, c) = rig_from_wheel * p.undeformed_mm;
+    out.undeformed.cov_random_mm2(r, c) =
+        TriangleOf(Eigen::Matrix3d(rig_from_wheel.rotation * CovarianceOf(p.cov_undeformed_mm2) *
+                                   rig_from_wheel.rotation.transpose()));
     out.material(r, c) = {MaterialAngle(p.undeformed_mm), p.undeformed_mm.y(),
                           std::hypot(p.undeformed_mm.x(), p.undeformed_mm.z())};
     left.push_back(p.left_px);

@@ -66,9 +66,9 @@ struct RollingSurvey::Impl {
     std::unique_ptr<StereoSequence> sequence;
     StereoField pair;  // of the view's images, as if exposed together
     std::optional<RightFlow> flow;
-    Image<Eigen::Vector3d> material_mm;  // wheel frame; NaN where the view has no point
-    Eigen::MatrixXf material_along;      // (points of the grid, K): of their MaterialAngle()
-    std::optional<RelativePose> pose;    // of the cameras, where frames are held against it
+    internal::ViewMaterial material;   // NaN where the view has no point
+    Eigen::MatrixXf material_along;    // (points of the grid, K): of their MaterialAngle()
+    std::optional<RelativePose> pose;  // of the cameras, where frames are held against it
   };
 
   Prepared& Prepare(std::size_t view);
@@ -125,8 +125,9 @@ RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
   anew.pair = anew.sequence->reference();
   anew.flow.emplace(wheel, anew.pair);
   MoveAlong(anew.flow->Of(anew.pair.right), -wheel.LateTurnOf(v), &anew.pair.right);
-  anew.material_mm = internal::MaterialOf(wheel, v, anew.pair);
-  anew.material_along = internal::MaterialAlongModes(wheel, v, anew.material_mm, modes, axes_along);
+  anew.material = internal::MaterialOf(wheel, v, anew.pair);
+  anew.material_along =
+      internal::MaterialAlongModes(wheel, v, anew.material.point_mm, modes, axes_along);
   if (options.refinement != PoseRefinement::kOff) {
     anew.pose = internal::PoseOfView(wheel.rig, anew.pair);
   }
@@ -138,7 +139,7 @@ RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
 // The points that both cameras see, of known material.
 void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, RollingFrame& frame) {
   const StereoSequence& sequence = *by.sequence;
-  const Image<Eigen::Vector3d>& material = by.material_mm;
+  const Image<Eigen::Vector3d>& material = by.material.point_mm;
   const Image<Eigen::Vector3f> unit = UnitCovariance(sequence.reference(), field);
   const Image<Eigen::Vector2d> flow_px = by.flow->Of(field.right);
   internal::SurveyRows::PoseMatches& pose = rows.poses.back();
@@ -168,7 +169,8 @@ void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, Rol
                               {c / stride, r / stride},
                               r * material.width() + c,
                               flow_px(r, c),
-                              internal::RightPixelAt(by.pair.right, left)});
+                              internal::RightPixelAt(by.pair.right, left),
+                              by.material.cov_random_mm2(r, c)});
     }
   }
 }
@@ -224,7 +226,7 @@ void RollingSurvey::Impl::AddRow(const RollingFrame& frame, const Prepared& by, 
 StereoField RollingSurvey::Impl::Expect(const internal::SurfaceMemory& supposed, const Prepared& by,
                                         double angle_rad) const {
   constexpr double kRoom = 1.5;  // of a subset's half
-  return supposed.Expect(angle_rad, by.sequence->reference().left, by.material_mm,
+  return supposed.Expect(angle_rad, by.sequence->reference().left, by.material.point_mm,
                          kRoom * options.matching.field.correlator.radius_px());
 }
 

@@ -64,6 +64,8 @@ struct RollingPoint {
   Eigen::Vector2d right_flow_px = Eigen::Vector2d::Zero();
   // The right pixel of what the view shows at left_px; NaN where it has no points around that.
   Eigen::Vector2d view_right_px = Eigen::Vector2d::Zero();
+  // Of undeformed_mm, from the noise of the view's own match (wheel frame; xx xy xz yy yz zz).
+  Eigen::Matrix<float, 6, 1> cov_undeformed_mm2 = Eigen::Matrix<float, 6, 1>::Zero();
 };
 
 // The angle about the wheel's axis of a place in the wheel frame, 0 at the bottom (-z), growing
@@ -92,6 +94,8 @@ struct RollingFrame {
   // the first placed frame's, which is in 0 to 2 pi. Sigmas are of this frame; what is common to
   // all: RollingWheel::sigma_common_rad.
   double angle_rad = kNone, sigma_random_rad = kNone, sigma_calibration_rad = kNone;
+  // Of the turn since the first placed frame: what both have in common drops out.
+  double sigma_random_turn_rad = kNone, sigma_calibration_turn_rad = kNone;
   // NaN without a clock.
   double speed_rad_s = kNone, sigma_random_rad_s = kNone, sigma_calibration_rad_s = kNone;
   double measured_angle_rad = kNone, sigma_measured_rad = kNone;  // by this frame alone
@@ -120,6 +124,9 @@ struct RollingWheel {
   double sigma_common_rad = 0;
   // What one sigma of each calibration mode adds: (K, frames); NaN where a frame is not placed.
   Eigen::MatrixXd angle_along_modes_rad, speed_along_modes_rad_s;
+  // What one sigma of each random error of the reference adds to the measured angles: (errors,
+  // frames), see AnglesAlongReference().
+  Eigen::MatrixXd angle_along_reference_rad;
   double jerk_rad_s25 = 0, scatter = 1;  // of the smoother
   // Known where tags on the rim are seen: then all angles are the rim's, and sigma_common_rad is of
   // the tags. `deformation` is as the surface alone tells it.
@@ -140,7 +147,7 @@ struct RollingWheel {
 // left out; its angle is not guessed, though the smoother could. Tags on the rim tell the wheel's
 // own angle (HoldToRim).
 //
-// Memory: about 150 bytes a point kept and what the prepared views take.
+// Memory: about 175 bytes a point kept and what the prepared views take.
 // Calibration: along a mode the points of a frame, those of the reference image, the axis and the
 // view's angle all change; with the weights held all steps are linear.
 //

@@ -162,6 +162,7 @@ WheelReference MakeWheelReference(const StereoRig& rig, const WheelTracks& track
   wheel.cov_axis_random = adjusted.cov_random.topLeftCorner<kAxis, kAxis>();
   const auto n = static_cast<Eigen::Index>(adjusted.angles_rad.size());
   wheel.cov_angles_random_rad2 = adjusted.cov_random.bottomRightCorner(n, n);
+  wheel.cov_axis_angles_random = adjusted.cov_random.topRightCorner(kAxis, n);
   const int modes = rig.modes.count();
   wheel.cov_axis_calibration.setConstant(kNone);
   wheel.axis_along_modes = adjusted.along_modes.leftCols<kAxis>();

@@ -63,6 +63,9 @@ struct WheelReference {
   Eigen::Matrix4d cov_axis_calibration = Eigen::Matrix4d::Zero();
   std::vector<WheelFrame> frames = {};
   Eigen::MatrixXd cov_angles_random_rad2 = {};  // joint, of all frames
+  // Of the axis with the angles (4, frames): over an arc a distance that is wrong makes all angles
+  // wrong in proportion. Empty: unknown, taken for nothing.
+  Eigen::MatrixXd cov_axis_angles_random = {};
   // What one sigma of each calibration mode adds to the axis (modes, 4) and to the angles (modes,
   // frames): what is measured against the wheel moves with the mode in all of its parts at once.
   Eigen::MatrixXd axis_along_modes = {}, angles_along_modes_rad = {};

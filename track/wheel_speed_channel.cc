@@ -267,12 +267,17 @@ class Leaning {
     const std::size_t n = placed_.size();
     const Eigen::Index K = Modes(), pairs = static_cast<Eigen::Index>(n - 1);
     std::vector<double> angles, sigmas;
-    Eigen::MatrixXd along(K, static_cast<Eigen::Index>(n));
+    const Eigen::MatrixXd& of_reference = rolling_.angle_along_reference_rad;
+    Eigen::MatrixXd along(K + of_reference.rows(), static_cast<Eigen::Index>(n));
     for (std::size_t i = 0; i < n; ++i) {
       angles.push_back(Frame(i).measured_angle_rad);
       sigmas.push_back(Frame(i).sigma_measured_rad);
-      for (Eigen::Index k = 0; k < K; ++k)
-        along(k, static_cast<Eigen::Index>(i)) = AngleAlong(k, i);
+      const auto at = static_cast<Eigen::Index>(i);
+      for (Eigen::Index k = 0; k < K; ++k) along(k, at) = AngleAlong(k, i);
+      if (of_reference.rows() > 0) {
+        along.col(at).tail(of_reference.rows()) =
+            of_reference.col(static_cast<Eigen::Index>(placed_[i]));
+      }
     }
     AngleTurns turns;
     // The modes of the calibration, the clock, and a factor on the channel of 1 more than it is.
@@ -311,23 +316,37 @@ class Leaning {
                        column = static_cast<Eigen::Index>(placed_[i]);
     RollingFrame& frame = rolling_.frames[placed_[i]];
     const SmoothedAngle& s = smooth.frames[i];
-    const auto common = [&](const Eigen::MatrixXd& along) {
-      return std::hypot(along(K, at), channel_.sigma_scale * along(K + 1, at));
+    // Random, but with one cause each: clock, scale, and the errors of the reference.
+    const auto common = [&](const Eigen::VectorXd& along, const Eigen::VectorXd& along_turns) {
+      return std::hypot(along.tail(along.size() - K).norm(), along_turns[K],
+                        channel_.sigma_scale * along_turns[K + 1]);
+    };
+    const auto turned = [&](const Eigen::MatrixXd& along) -> Eigen::VectorXd {
+      return along.col(at) - along.col(0);
     };
     frame.angle_rad = s.angle_rad;
     frame.speed_rad_s = s.speed_rad_s;
-    frame.sigma_random_rad = std::hypot(s.sigma_angle_rad, common(smooth.angle_along_turns_rad));
-    frame.sigma_random_rad_s =
-        std::hypot(s.sigma_speed_rad_s, common(smooth.speed_along_turns_rad_s));
+    frame.sigma_random_rad =
+        std::hypot(s.sigma_angle_rad,
+                   common(smooth.angle_along_rad.col(at), smooth.angle_along_turns_rad.col(at)));
+    frame.sigma_random_turn_rad =
+        std::hypot(s.sigma_turn_rad,
+                   common(turned(smooth.angle_along_rad), turned(smooth.angle_along_turns_rad)));
+    frame.sigma_random_rad_s = std::hypot(
+        s.sigma_speed_rad_s,
+        common(smooth.speed_along_rad_s.col(at), smooth.speed_along_turns_rad_s.col(at)));
     frame.lean = s.lean;
     frame.outlier = s.outlier;
     frame.sigma_measured_rad *= smooth.scatter;
     lean->outliers += s.turn_outlier ? 1 : 0;
     if (K == 0) return;
     rolling_.angle_along_modes_rad.col(column) =
-        smooth.angle_along_rad.col(at) + smooth.angle_along_turns_rad.col(at).head(K);
+        smooth.angle_along_rad.col(at).head(K) + smooth.angle_along_turns_rad.col(at).head(K);
     rolling_.speed_along_modes_rad_s.col(column) =
-        smooth.speed_along_rad_s.col(at) + smooth.speed_along_turns_rad_s.col(at).head(K);
+        smooth.speed_along_rad_s.col(at).head(K) + smooth.speed_along_turns_rad_s.col(at).head(K);
+    frame.sigma_calibration_turn_rad =
+        (turned(smooth.angle_along_rad).head(K) + turned(smooth.angle_along_turns_rad).head(K))
+            .norm();
     frame.sigma_calibration_rad = rolling_.angle_along_modes_rad.col(column).norm();
     frame.sigma_calibration_rad_s = rolling_.speed_along_modes_rad_s.col(column).norm();
   }

@@ -67,9 +67,7 @@ BodyMotion TurnSinceView(const WheelReference& wheel, const RollingWheel& rollin
         Turn(wheel.axis, view.angle_rad + wheel.angles_along_modes_rad(k, view.frame),
              now + rolling.angle_along_modes_rad(k, static_cast<Eigen::Index>(frame))));
   }
-  const double sigma =
-      std::hypot(rolling.frames[frame].sigma_random_rad,
-                 wheel.frames[static_cast<std::size_t>(view.frame)].sigma_random_rad);
+  const double sigma = rolling.frames[frame].sigma_random_rad;  // the view's among it
   body.random.push_back(Turn(wheel.axis, view.angle_rad, now + sigma));
   const Eigen::Matrix4d roots = RootsOf(wheel.cov_axis_random);
   for (Eigen::Index k = 0; k < roots.cols(); ++k) {

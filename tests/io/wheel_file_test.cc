@@ -36,6 +36,8 @@ WheelReference Wheel(int bits) {
                   {9, 0.3, WheelFrameStatus::kPlaced, 0.5, 1e-5, 2e-5, 41}};
   wheel.cov_angles_random_rad2 = Eigen::Matrix3d::Zero();
   wheel.cov_angles_random_rad2(2, 2) = 1e-10;
+  wheel.cov_axis_angles_random = Eigen::MatrixXd::Zero(4, 3);
+  wheel.cov_axis_angles_random(3, 2) = -2e-9;
   const int modes = wheel.rig.modes.count();
   wheel.axis_along_modes = Eigen::MatrixXd::Random(modes, 4);
   wheel.angles_along_modes_rad = Eigen::MatrixXd::Random(modes, 3);
@@ -118,6 +120,7 @@ TEST(WheelFile, ReadsBackTheSameBits) {
     EXPECT_EQ(back.cov_axis_random, wheel.cov_axis_random);
     EXPECT_EQ(back.cov_axis_calibration, wheel.cov_axis_calibration);
     EXPECT_EQ(back.cov_angles_random_rad2, wheel.cov_angles_random_rad2);
+    EXPECT_EQ(back.cov_axis_angles_random, wheel.cov_axis_angles_random);
     EXPECT_EQ(back.axis_along_modes, wheel.axis_along_modes);
     EXPECT_EQ(back.angles_along_modes_rad, wheel.angles_along_modes_rad);
     EXPECT_TRUE(back.closed);

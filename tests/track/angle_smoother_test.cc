@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/LU>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -73,7 +74,7 @@ TEST(AngleSmoother, AChangeOfSpeedIsNoOutlier) {
 }
 
 TEST(AngleSmoother, SigmasAreConsistent) {
-  double angle = 0, speed = 0, inside = 0, count = 0, error = 0, raw = 0;
+  double angle = 0, speed = 0, turn = 0, inside = 0, count = 0, error = 0, raw = 0;
   constexpr int kDraws = 60;
   for (unsigned seed = 1; seed <= kDraws; ++seed) {
     const Turning wheel(seed, 60, true);
@@ -84,6 +85,10 @@ TEST(AngleSmoother, SigmasAreConsistent) {
       const double fast = s.speed_rad_s - wheel.speed_rad_s[i];
       angle += std::pow(off / s.sigma_angle_rad, 2);
       speed += std::pow(fast / s.sigma_speed_rad_s, 2);
+      if (i > 0) {
+        const double first = smooth.frames[0].angle_rad - wheel.truth_rad[0];
+        turn += std::pow((off - first) / s.sigma_turn_rad, 2);
+      }
       inside += std::abs(off) < 1.96 * s.sigma_angle_rad ? 1 : 0;
       error += off * off;
       raw += std::pow(wheel.angle_rad[i] - wheel.truth_rad[i], 2);
@@ -92,9 +97,34 @@ TEST(AngleSmoother, SigmasAreConsistent) {
   }
   EXPECT_NEAR(angle / count, 1, 0.1);
   EXPECT_NEAR(speed / count, 1, 0.2);
+  EXPECT_NEAR(turn / count, 1, 0.4);  // all of a draw have the first frame's error in common
   EXPECT_GT(inside / count, 0.93);
   EXPECT_LT(inside / count, 0.97);
   EXPECT_LT(std::sqrt(error / raw), 0.7);
+}
+
+// Without a change of acceleration the angles are those of a parabola, and what two of them have in
+// common drops out of the turn between them.
+TEST(AngleSmoother, TurnsSinceTheFirstFrameAreAsSureAsAParabolaIs) {
+  constexpr int kFrames = 9;
+  std::vector<double> time_s, angle_rad;
+  for (int f = 0; f < kFrames; ++f) {
+    time_s.push_back(f);
+    angle_rad.push_back(0.1 * f + (f % 2 == 0 ? 1e-5 : -1e-5));
+  }
+  const std::vector<double> sigma_rad(kFrames, kSigma_rad);
+  const SmoothedAngles smooth = SmoothAngles(time_s, angle_rad, sigma_rad, {}, {.jerk_rad_s25 = 0});
+  // Of the parabola through nine angles: cov = s^2 (X'X)^-1.
+  Eigen::MatrixXd X(kFrames, 3);
+  for (int f = 0; f < kFrames; ++f) X.row(f) << 1, f, f * f;
+  const Eigen::Matrix3d cov = kSigma_rad * kSigma_rad * (X.transpose() * X).inverse();
+  for (int f = 1; f < kFrames; ++f) {
+    const Eigen::RowVector3d turned = X.row(f) - X.row(0);
+    const double sigma = std::sqrt((turned * cov * turned.transpose()).value());
+    EXPECT_NEAR(smooth.frames[static_cast<std::size_t>(f)].sigma_turn_rad, sigma, 1e-3 * sigma)
+        << f;
+  }
+  EXPECT_EQ(smooth.frames[0].sigma_turn_rad, 0);
 }
 
 TEST(AngleSmoother, MarksWhatTheOthersContradictAndBridgesIt) {

@@ -131,7 +131,7 @@ TEST_F(RollingStarts, AreForeseenFromTheFramesBefore) {
   const StereoField found = sequence->Add(pair.left, pair.right, 0);
   const StereoField& reference = sequence->reference();
   const Image<Eigen::Vector3d> material =
-      internal::MaterialOf(*reference_, reference_->views[frame.view], reference);
+      internal::MaterialOf(*reference_, reference_->views[frame.view], reference).point_mm;
   const StereoField expected = memory.Expect(*angle, reference.left, material, 8);
   ExpectNear(expected.left, found.left, 0.3, 0.7);
   ExpectNear(expected.right, found.right, 0.3, 0.7);

@@ -5,9 +5,11 @@
 #include <cstddef>
 #include <limits>
 #include <numbers>
+#include <optional>
 
 #include "calib/error.h"
 #include "calib/triangulate.h"
+#include "track/internal/angles_along_reference.h"
 #include "track/internal/frame_rig.h"
 #include "track/internal/survey_tags.h"
 #include "track/right_flow.h"
@@ -124,17 +126,23 @@ void SurveyRows::FindAngles(const WheelReference& reference,
       frame.sigma_measured_rad = wheel->deformation.frames[f].sigma_rad;
     }
   }
-  const Eigen::MatrixXd along = HoldToTags(reference, *wheel);
+  Eigen::MatrixXd along = HoldToTags(reference, *wheel);
+  const Eigen::Index K = along.rows();
+  wheel->angle_along_reference_rad = AnglesAlongReference(reference, *wheel);
+  along.conservativeResize(K + wheel->angle_along_reference_rad.rows(),
+                           static_cast<Eigen::Index>(n));
+  along.bottomRows(along.rows() - K) = wheel->angle_along_reference_rad;
   for (const RollingFrame& frame : wheel->frames) {
     angles.push_back(frame.measured_angle_rad);
     sigmas.push_back(frame.sigma_measured_rad);
   }
   const SmoothedAngles smooth = SmoothAngles(times, angles, sigmas, along, smoother);
-  wheel->angle_along_modes_rad = smooth.angle_along_rad;
-  wheel->speed_along_modes_rad_s = smooth.speed_along_rad_s;
+  wheel->angle_along_modes_rad = smooth.angle_along_rad.topRows(K);
+  wheel->speed_along_modes_rad_s = smooth.speed_along_rad_s.topRows(K);
   wheel->jerk_rad_s25 = smooth.jerk_rad_s25;
   wheel->scatter = smooth.scatter;
   const bool modes = wheel->angle_along_modes_rad.rows() > 0;
+  std::optional<Eigen::Index> first;  // placed
   for (std::size_t f = 0; f < n; ++f) {
     RollingFrame& frame = wheel->frames[f];
     const auto column = static_cast<Eigen::Index>(f);
@@ -145,7 +153,16 @@ void SurveyRows::FindAngles(const WheelReference& reference,
     }
     const SmoothedAngle& s = smooth.frames[f];
     frame.angle_rad = s.angle_rad;
-    frame.sigma_random_rad = s.sigma_angle_rad;
+    if (!first) first = column;
+    const auto turned = [&](const Eigen::MatrixXd& angle_along) -> Eigen::VectorXd {
+      return angle_along.col(column) - angle_along.col(*first);
+    };
+    const Eigen::Index of_reference = along.rows() - K;
+    frame.sigma_random_rad =
+        std::hypot(s.sigma_angle_rad, smooth.angle_along_rad.col(column).tail(of_reference).norm());
+    frame.sigma_random_turn_rad =
+        std::hypot(s.sigma_turn_rad, turned(smooth.angle_along_rad).tail(of_reference).norm());
+    if (modes) frame.sigma_calibration_turn_rad = turned(wheel->angle_along_modes_rad).norm();
     frame.lean = s.lean;
     frame.outlier = s.outlier;
     frame.sigma_measured_rad *= smooth.scatter;
@@ -153,7 +170,8 @@ void SurveyRows::FindAngles(const WheelReference& reference,
     if (!clock) continue;
     frame.speed_rad_s = s.speed_rad_s;
     frame.sigma_random_rad_s =
-        std::hypot(s.sigma_speed_rad_s, SpeedSpread(wheel->deformation, times, f));
+        std::hypot(s.sigma_speed_rad_s, SpeedSpread(wheel->deformation, times, f),
+                   smooth.speed_along_rad_s.col(column).tail(of_reference).norm());
     if (modes) frame.sigma_calibration_rad_s = wheel->speed_along_modes_rad_s.col(column).norm();
   }
 }

@@ -5,8 +5,10 @@
 #include <numbers>
 #include <utility>
 
+#include "match/planar_field.h"
 #include "track/right_flow.h"
 #include "track/rolling_survey.h"
+#include "track/surface_motion.h"
 #include "track/surface_state.h"
 
 namespace plumbline::internal {
@@ -16,20 +18,26 @@ constexpr double kTurn_rad = 2 * std::numbers::pi;
 
 }  // namespace
 
-Image<Eigen::Vector3d> MaterialOf(const WheelReference &wheel, const WheelReferenceView &view,
-                                  const StereoField &field) {
-  StereoSurface surface = TriangulateField(wheel.rig, field, UnitCovariance(field, field));
+ViewMaterial MaterialOf(const WheelReference &wheel, const WheelReferenceView &view,
+                        const StereoField &field) {
+  const Image<Eigen::Vector3f> unit = UnitCovariance(field, field);
+  StereoSurface surface = TriangulateField(wheel.rig, field, unit);
   const Rigid3 wheel_from_rig = wheel.axis.RigFromWheel(view.angle_rad).Inverse();
-  Image<Eigen::Vector3d> material_mm = std::move(surface.instant.point_mm);
-  for (std::size_t i = 0; i < material_mm.pixel_count(); ++i) {
-    Eigen::Vector3d &p = material_mm.data()[i];
+  const Eigen::Matrix3d &turn = wheel_from_rig.rotation;
+  ViewMaterial material;
+  material.cov_random_mm2 = CovarianceOf(surface.instant, unit);
+  material.point_mm = std::move(surface.instant.point_mm);
+  for (std::size_t i = 0; i < material.point_mm.pixel_count(); ++i) {
+    Eigen::Vector3d &p = material.point_mm.data()[i];
     if (surface.status.data()[i] == Status::kOk) {
       p = wheel_from_rig * p;
+      Eigen::Matrix<float, 6, 1> &cov = material.cov_random_mm2.data()[i];
+      cov = TriangleOf(Eigen::Matrix3d(turn * CovarianceOf(cov) * turn.transpose()));
     } else {
       p.setConstant(std::numeric_limits<double>::quiet_NaN());
     }
   }
-  return material_mm;
+  return material;
 }
 
 Eigen::MatrixXf MaterialAlongModes(const WheelReference &wheel, const WheelReferenceView &view,
