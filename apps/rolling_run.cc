@@ -40,6 +40,39 @@ std::string DelayNote(const RightDelayEstimate& estimate, const RightDelay& used
   return note + ".";
 }
 
+// What the contact says of the carcass; nothing where it agrees with what was said and has no more
+// to tell.
+std::vector<std::string> CarcassNotes(const RollingContact& contact, double middle_y_mm) {
+  std::vector<std::string> notes;
+  const CarcassThickness& carcass = contact.carcass;
+  const CarcassCheck& check = contact.carcass_check;
+  const auto place = [&](double y_mm) {
+    return fmt::format("{:.0f} mm from the middle of the tread", y_mm - middle_y_mm);
+  };
+  if (check.contradicts) {
+    notes.push_back(fmt::format(
+        "What touches the ground contradicts the thickness of the carcass: {} it is {:.2f} mm {} "
+        "than --carcass says, but for what tilts the ground, and the contact patch is wrong: {}.",
+        place(check.at_y_mm), std::abs(check.most_mm), check.most_mm > 0 ? "thicker" : "thinner",
+        carcass.y_mm.empty()
+            ? "give the thickness by place across the tread, with its --carcass-sigma"
+        : carcass.sigma_mm > 0 ? "give a larger --carcass-sigma"
+                               : "give --carcass-sigma, with which the contact corrects it"));
+  }
+  if (carcass.modes_mm.size() == 0) return notes;
+  std::size_t most = 0;
+  const auto corrected = [&](std::size_t k) {
+    return carcass.thickness_mm[k] - carcass.said_mm[k];
+  };
+  for (std::size_t k = 0; k < carcass.y_mm.size(); ++k) {
+    if (std::abs(corrected(k)) > std::abs(corrected(most))) most = k;
+  }
+  notes.push_back(fmt::format(
+      "What touches the ground corrects the thickness of the carcass by up to {:.3f} mm ({}).",
+      corrected(most), place(carcass.y_mm[most])));
+  return notes;
+}
+
 }  // namespace
 
 void RollingRunOptions::Check() const {
@@ -228,6 +261,11 @@ std::vector<std::string> RollingRun::Notes() const {
               ? "The wheel's turn there is that of the channel."
               : "The wheel's turn is told there by what of the surface stands still before and "
                 "behind the contact; what draws all of it along cannot be told from a turn."));
+    }
+  }
+  if (impl_->contact) {
+    for (std::string& note : CarcassNotes(*impl_->contact, impl_->reference.profile.crown_y_mm)) {
+      notes.push_back(std::move(note));
     }
   }
   if (impl_->estimate.found) notes.push_back(DelayNote(impl_->estimate, impl_->delay));

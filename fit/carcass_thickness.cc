@@ -9,6 +9,8 @@
 namespace plumbline {
 namespace {
 
+constexpr double kNaN = std::numeric_limits<double>::quiet_NaN();
+
 // Of a map at one of its entries.
 double SlopeAt(const CarcassThickness& map, std::size_t k) {
   const std::vector<double>&y = map.y_mm, &t = map.thickness_mm;
@@ -35,10 +37,10 @@ std::size_t EntryAbove(const CarcassThickness& map, double y) {
   return static_cast<std::size_t>(above - map.y_mm.begin());
 }
 
-template <typename Function>
-Image<double> Over(const Image<Eigen::Vector3d>& undeformed_in_rig_mm, const WheelAxis& axis,
-                   const Function& at) {
-  Image<double> values(undeformed_in_rig_mm.size(), std::numeric_limits<double>::quiet_NaN());
+template <typename T, typename Function>
+Image<T> Over(const Image<Eigen::Vector3d>& undeformed_in_rig_mm, const WheelAxis& axis,
+              const T& nowhere, const Function& at) {
+  Image<T> values(undeformed_in_rig_mm.size(), nowhere);
   for (std::size_t i = 0; i < values.pixel_count(); ++i) {
     const double y_mm = axis.direction_in_rig().dot(undeformed_in_rig_mm.data()[i]);
     if (std::isfinite(y_mm)) values.data()[i] = at(y_mm);
@@ -50,7 +52,7 @@ Image<double> Over(const Image<Eigen::Vector3d>& undeformed_in_rig_mm, const Whe
 
 double CarcassThickness::At(double y) const {
   if (y_mm.empty()) return thickness_mm.front();
-  if (!(y >= y_mm.front() && y <= y_mm.back())) return std::numeric_limits<double>::quiet_NaN();
+  if (!(y >= y_mm.front() && y <= y_mm.back())) return kNaN;
   const std::size_t k = EntryAbove(*this, y);
   const double width = y_mm[k] - y_mm[k - 1];
   const double u = (y - y_mm[k - 1]) / width, v = 1 - u;
@@ -60,8 +62,44 @@ double CarcassThickness::At(double y) const {
 
 CarcassThickness CarcassThickness::AlongMode(int mode) const {
   CarcassThickness along = *this;
-  along.thickness_mm.at(static_cast<std::size_t>(mode)) += sigma_mm;
+  const Eigen::VectorXd change = OfMode(mode);
+  for (std::size_t i = 0; i < thickness_mm.size(); ++i) {
+    along.thickness_mm[i] += change[static_cast<Eigen::Index>(i)];
+  }
   return along;
+}
+
+Eigen::VectorXd CarcassThickness::OfMode(int mode) const {
+  if (modes_mm.size() > 0) return modes_mm.col(mode);
+  return sigma_mm * Eigen::VectorXd::Unit(static_cast<Eigen::Index>(thickness_mm.size()), mode);
+}
+
+// By differences: the curve's slopes hang on the entries beside an interval, one more on each side
+// of it.
+ThicknessShares CarcassThickness::SharesAt(double y) const {
+  ThicknessShares shares;
+  if (y_mm.empty()) {
+    shares.count = 1;
+    shares.share[0] = 1;
+    return shares;
+  }
+  if (!std::isfinite(At(y))) return shares;
+  constexpr double kStep_mm = 1e-4;
+  const std::size_t above = EntryAbove(*this, y);
+  shares.first = above < 2 ? 0 : above - 2;
+  shares.count = static_cast<int>(std::min(y_mm.size(), above + 2) - shares.first);
+  CarcassThickness moved{y_mm, thickness_mm};
+  for (int k = 0; k < shares.count; ++k) {
+    const auto at = static_cast<std::size_t>(k);
+    double& entry = moved.thickness_mm[shares.first + at];
+    const double here = entry;
+    entry = here + kStep_mm;
+    const double more = moved.At(y);
+    entry = here - kStep_mm;
+    shares.share[at] = (more - moved.At(y)) / (2 * kStep_mm);
+    entry = here;
+  }
+  return shares;
 }
 
 double CarcassThickness::LeftOutAt(double y) const {
@@ -83,6 +121,11 @@ void CarcassThickness::Check() const {
   if (!(sigma_mm >= 0 && std::isfinite(sigma_mm))) {
     throw UsageError("The sigma of the carcass's thickness has to be 0 mm or more.");
   }
+  const auto entries = static_cast<Eigen::Index>(thickness_mm.size());
+  if ((!said_mm.empty() && said_mm.size() != thickness_mm.size()) ||
+      (modes_mm.size() > 0 && (modes_mm.rows() != entries || modes_mm.cols() != entries))) {
+    throw UsageError("The carcass's thickness has as many modes and said values as entries.");
+  }
   for (std::size_t k = 0; k < thickness_mm.size(); ++k) {
     if (!(thickness_mm[k] >= 0 && std::isfinite(thickness_mm[k]))) {
       throw UsageError("The carcass's thickness has to be 0 mm or more everywhere.");
@@ -97,7 +140,7 @@ Image<double> ThicknessOver(const CarcassThickness& carcass,
                             const Image<Eigen::Vector3d>& undeformed_in_rig_mm,
                             const WheelAxis& axis) {
   carcass.Check();
-  return Over(undeformed_in_rig_mm, axis, [&](double y_mm) { return carcass.At(y_mm); });
+  return Over(undeformed_in_rig_mm, axis, kNaN, [&](double y_mm) { return carcass.At(y_mm); });
 }
 
 const Image<double>& ThicknessAlong(std::size_t mode, std::size_t modes,
@@ -107,11 +150,20 @@ const Image<double>& ThicknessAlong(std::size_t mode, std::size_t modes,
   return mode < others ? thickness_mm : along_carcass[mode - others];
 }
 
+Image<ThicknessShares> ThicknessSharesOver(const CarcassThickness& carcass,
+                                           const Image<Eigen::Vector3d>& undeformed_in_rig_mm,
+                                           const WheelAxis& axis) {
+  carcass.Check();
+  return Over(undeformed_in_rig_mm, axis, ThicknessShares{},
+              [&](double y_mm) { return carcass.SharesAt(y_mm); });
+}
+
 Image<double> ThicknessLeftOutOver(const CarcassThickness& carcass,
                                    const Image<Eigen::Vector3d>& undeformed_in_rig_mm,
                                    const WheelAxis& axis) {
   carcass.Check();
-  return Over(undeformed_in_rig_mm, axis, [&](double y_mm) { return carcass.LeftOutAt(y_mm); });
+  return Over(undeformed_in_rig_mm, axis, kNaN,
+              [&](double y_mm) { return carcass.LeftOutAt(y_mm); });
 }
 
 }  // namespace plumbline

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "calib/image.h"
+#include "fit/carcass_thickness.h"
 #include "fit/contact_patch.h"
 
 namespace plumbline {
@@ -47,6 +48,7 @@ struct LiftOffFrame {
   const Image<Eigen::Vector3d>* position_mm = nullptr;
   const Image<Eigen::Vector3d>* undeformed_mm = nullptr;  // of the same material points
   const Image<double>* thickness_mm = nullptr;
+  const Image<ThicknessShares>* shares = nullptr;  // where the thickness is to be fitted too
 };
 
 struct LiftOffLaw {
@@ -72,6 +74,37 @@ struct LiftOffLine {
 [[nodiscard]] LiftOffLaw FitLiftOffLaw(std::span<const LiftOffFrame> frames, double sigma_mm,
                                        double correlation_area_points,
                                        const LiftOffOptions& options = {});
+
+// The depth of the undeformed tyre below which it surely touches, by the points within 0.3 mm of
+// the ground: no law is needed. Nothing where there are none.
+[[nodiscard]] std::optional<double> DepthInContact(const LiftOffFrame& frame,
+                                                   const LiftOffOptions& options = {});
+
+// What is known, before anything is measured, of the errors of the entries of a map of the
+// carcass: what is to be added to them, each with this sigma, independent of the others.
+struct ThicknessPrior {
+  Eigen::VectorXd expected_mm;
+  double sigma_mm = 0;
+};
+
+struct LawAndThickness {
+  LiftOffLaw law;                     // its cov: with this thickness exactly
+  Eigen::VectorXd added_mm;           // to each entry
+  Eigen::MatrixXd cov_mm2;            // of that, the law being free
+  Eigen::MatrixXd d_law_d_thickness;  // log k, m by entry: of the law that fits best
+};
+
+// The law together with the carcass's thickness, which what touches the ground tells: the gap is 0
+// there, whatever the map says. Least squares as above over all points that touch (frames in which
+// one in fifty of them does not, as over an obstacle, have no say) and the prior; each frame's
+// ground may be off by a plane, so that a constant and a slope of the map across the tread, which
+// are the ground's height and tilt as well, stay as the prior has them, and so do entries beside
+// what touches, but for what the law's own points tell there.
+// prior: nullptr holds the thickness; added_mm and what follows are empty then.
+[[nodiscard]] LawAndThickness FitLawAndThickness(std::span<const LiftOffFrame> frames,
+                                                 double sigma_mm, double correlation_area_points,
+                                                 const ThicknessPrior* prior,
+                                                 const LiftOffOptions& options = {});
 
 // The boundary of one frame under a law. cov: from noise, the law being exact; d_a_d_law carries
 // the law's own error. Nothing where too few points are near the boundary or the law does not hold;

@@ -8,36 +8,32 @@
 #include <stdexcept>
 
 #include "calib/error.h"
-#include "fit/carcass_thickness.h"
+#include "track/carcass_estimate.h"
+#include "track/internal/patch_in_ground.h"
 
 namespace plumbline {
 namespace {
 
 using Results = FramePatch::Results;
 
-// A frame's images in a ground frame.
-struct InGround {
-  Image<Eigen::Vector3d> position_mm, undeformed_mm;
-  const Image<double>* thickness_mm;
+using internal::InGround;
 
-  InGround(const PatchFrame& frame, const Rigid3& ground_from_rig,
-           const Image<Eigen::Vector3f>* along = nullptr)
-      : position_mm(frame.point_mm),
-        undeformed_mm(frame.undeformed_mm),
-        thickness_mm(&frame.thickness_mm) {
-    for (std::size_t i = 0; i < position_mm.pixel_count(); ++i) {
-      const Eigen::Vector3d change = along == nullptr ? Eigen::Vector3d::Zero().eval()
-                                                      : along->data()[i].cast<double>().eval();
-      position_mm.data()[i] = ground_from_rig * (position_mm.data()[i] + change);
-      undeformed_mm.data()[i] = ground_from_rig * (undeformed_mm.data()[i] + change);
-    }
+// The law, and how it goes along each of the carcass's modes, behind those of the calibration.
+struct LawOfRun {
+  LiftOffLaw law;
+  std::vector<Eigen::Vector2d> along_carcass = {};
+
+  LiftOffLaw Along(const Eigen::Vector2d& change) const {
+    LiftOffLaw there = law;
+    there.log_k += change[0];
+    there.m += change[1];
+    return there;
   }
-  LiftOffFrame ForLiftOff() const { return {&position_mm, &undeformed_mm, thickness_mm}; }
 };
 
-// A way to a patch: its results, from a frame as it lies in a ground frame. Nothing where there is
-// none.
-using Way = std::function<std::optional<Results>(const InGround&)>;
+// A way to a patch: its results, from a frame as it lies in a ground frame and what a mode does to
+// the law. Nothing where there is none.
+using Way = std::function<std::optional<Results>(const InGround&, const Eigen::Vector2d& of_law)>;
 
 // What errors that are common to all points of a frame do to its results: another way of looking at
 // the same frame, less `results`. NaN where that has no patch.
@@ -65,26 +61,29 @@ class CommonErrors {
     return variance;
   }
 
-  // The calibration's, along each mode points, ground and thickness together.
-  Results Calibration() const {
+  // The calibration's, along each mode points, ground and thickness together, and along those of
+  // the carcass the law.
+  Results Calibration(std::span<const Eigen::Vector2d> law_along_carcass) const {
     Results variance = Results::Zero();
     const std::size_t modes = frame_.along_modes_mm.size();
+    const std::size_t others = modes - law_along_carcass.size();
     for (std::size_t m = 0; m < modes; ++m) {
       InGround along(frame_, frame_.rotation.ground.along_modes[m], &frame_.along_modes_mm[m]);
       along.thickness_mm =
           &ThicknessAlong(m, modes, frame_.thickness_mm, frame_.thickness_along_modes);
-      variance += SquareOf(along);
+      variance += SquareOf(along, m < others ? kNoChange : law_along_carcass[m - others]);
     }
     return variance;
   }
 
  private:
-  Results SquareOf(const InGround& there) const {
-    const std::optional<Results> results = way_(there);
+  Results SquareOf(const InGround& there, const Eigen::Vector2d& of_law = kNoChange) const {
+    const std::optional<Results> results = way_(there, of_law);
     if (!results) return Results::Constant(std::numeric_limits<double>::quiet_NaN());
     return (*results - results_).cwiseAbs2();
   }
 
+  inline static const Eigen::Vector2d kNoChange = Eigen::Vector2d::Zero();
   const PatchFrame& frame_;
   const WheelAxis& axis_;
   const Results& results_;
@@ -102,7 +101,8 @@ class PatchOfFrame {
         ground_(frame, frame.rotation.ground.frame_from_rig) {}
 
   // By the law; sigmas and all. Says why not.
-  bool FindByLaw(const LiftOffLaw& law, FramePatch* record) const {
+  bool FindByLaw(const LawOfRun& of_run, FramePatch* record) const {
+    const LiftOffLaw& law = of_run.law;
     const auto line = Line(ground_, law, &record->problem);
     if (!line) return false;
     const auto patch = PatchWithin(ground_.ForLiftOff(), *line);
@@ -130,13 +130,13 @@ class PatchOfFrame {
     record->sigma_law = RootOf(of_law);
     AddCommon(
         (J * line->cov * J.transpose()).diagonal() + of_law,
-        [&](const InGround& there) -> std::optional<Results> {
-          const auto again = Line(there, law);
+        [&](const InGround& there, const Eigen::Vector2d& change) -> std::optional<Results> {
+          const auto again = Line(there, of_run.Along(change));
           // A law that is held may not bear the error of a thickness: not counted.
           if (!again) return patch->results();
           return ResultsOf(PatchWithin(there.ForLiftOff(), *again)).value_or(patch->results());
         },
-        record);
+        of_run.along_carcass, record);
     return true;
   }
 
@@ -148,7 +148,10 @@ class PatchOfFrame {
     record->sigma_law.setZero();
     AddCommon(
         OfPoints(record->patch, neighbours),
-        [&](const InGround& there) { return ResultsOf(WithinThreshold(there)); }, record);
+        [&](const InGround& there, const Eigen::Vector2d&) {
+          return ResultsOf(WithinThreshold(there));
+        },
+        {}, record);
   }
 
   std::optional<ContactPatch> WithinThreshold(std::string* why) const {
@@ -172,11 +175,12 @@ class PatchOfFrame {
                            options_.correlation_area_points, options_.lift_off, why);
   }
 
-  void AddCommon(const Results& variance, const Way& way, FramePatch* record) const {
+  void AddCommon(const Results& variance, const Way& way,
+                 std::span<const Eigen::Vector2d> law_along_carcass, FramePatch* record) const {
     const Results results = record->patch.results();
     const CommonErrors common(frame_, axis_, results, way);
     record->sigma_random = RootOf(variance + common.Random());
-    record->sigma_calibration = RootOf(common.Calibration());
+    record->sigma_calibration = RootOf(common.Calibration(law_along_carcass));
   }
 
   // The variance that the noise of single points brings, and the square of what it adds to the
@@ -236,18 +240,36 @@ class PatchOfFrame {
   InGround ground_;
 };
 
-std::optional<LiftOffLaw> LawOf(std::span<const PatchFrame> frames,
-                                const PatchSeriesOptions& options, std::string* why) {
-  if (options.law) return options.law;
-  std::vector<InGround> ground;
-  std::vector<LiftOffFrame> all;
-  for (const PatchFrame& frame : frames) {
-    if (frame.rotation.from != RigRotationFrame::From::kPlane || !frame.rotation.found) continue;
-    ground.emplace_back(frame, frame.rotation.ground.frame_from_rig);
+// The law under which a map of the carcass that may be wrong is as it is, and how it goes with it.
+LawOfRun LawByThickness(const LawAndThickness& fitted, const CarcassThickness& carcass) {
+  LawOfRun of_run{fitted.law};
+  const auto change = [&](const Eigen::VectorXd& added_mm) {
+    return Eigen::Vector2d(fitted.d_law_d_thickness * added_mm);
+  };
+  of_run.law = of_run.Along(change(-fitted.added_mm));
+  for (int k = 0; k < carcass.mode_count(); ++k) {
+    of_run.along_carcass.push_back(change(carcass.OfMode(k)));
   }
-  for (const InGround& frame : ground) all.push_back(frame.ForLiftOff());
+  return of_run;
+}
+
+std::optional<LawOfRun> LawOf(std::span<const PatchFrame> frames, const WheelAxis& axis,
+                              const PatchSeriesOptions& options, std::string* why) {
+  if (options.law) return LawOfRun{*options.law};
+  const internal::FramesOnGround ground(frames, axis, options.carcass);
+  const double area = options.correlation_area_points;
+  if (options.carcass.uncertain_map()) {
+    try {
+      const ThicknessPrior prior = PriorOf(options.carcass);
+      return LawByThickness(
+          FitLawAndThickness(ground.ForLiftOff(), options.sigma_mm, area, &prior, options.lift_off),
+          options.carcass);
+    } catch (const InputError&) {
+      // No frame tells the thickness; it is held.
+    }
+  }
   try {
-    return FitLiftOffLaw(all, options.sigma_mm, options.correlation_area_points, options.lift_off);
+    return LawOfRun{FitLiftOffLaw(ground.ForLiftOff(), options.sigma_mm, area, options.lift_off)};
   } catch (const InputError& error) {
     *why = error.what();
     return std::nullopt;
@@ -286,7 +308,7 @@ void AddModelErrors(std::span<const PatchFrame> frames, const WheelAxis& axis,
   options.lift_off.largest_gap_mm /= 2;
   const double nearer = 1 - std::sqrt(0.5);
   std::string why;
-  const std::optional<LiftOffLaw> law = LawOf(frames, options, &why);
+  const std::optional<LawOfRun> law = LawOf(frames, axis, options, &why);
   if (!law) return;
   Results sum = Results::Zero(), noise = Results::Zero();
   int count = 0;
@@ -318,6 +340,7 @@ void AddModelErrors(std::span<const PatchFrame> frames, const WheelAxis& axis,
 void PatchSeriesOptions::Check() const {
   lift_off.Check();
   threshold.Check();
+  carcass.Check();
   if (!(sigma_mm > 0)) throw UsageError("The sigma of the points must be positive.");
   if (!(correlation_area_points >= 1)) {
     throw UsageError("At least one point shares a point's noise: its own.");
@@ -335,7 +358,8 @@ PatchSeries FindPatches(std::span<const PatchFrame> frames, const WheelAxis& axi
   }
   PatchSeries series;
   std::string no_law;
-  series.law = LawOf(frames, options, &no_law);
+  const std::optional<LawOfRun> law = LawOf(frames, axis, options, &no_law);
+  if (law) series.law = law->law;
   for (const PatchFrame& frame : frames) {
     FramePatch& record = series.frames.emplace_back();
     if (!frame.rotation.found) {
@@ -346,7 +370,7 @@ PatchSeries FindPatches(std::span<const PatchFrame> frames, const WheelAxis& axi
     std::string why;
     record.within_threshold = patch.WithinThreshold(&why);
     record.problem = no_law;
-    if (series.law && patch.FindByLaw(*series.law, &record) && Holds(&record)) continue;
+    if (law && patch.FindByLaw(*law, &record) && Holds(&record)) continue;
     if (!record.within_threshold) record.problem = why;
     patch.FindWithinThreshold(neighbours, &record);
   }

@@ -7,6 +7,7 @@
 #include <vector>
 
 #include "calib/image.h"
+#include "fit/carcass_thickness.h"
 #include "fit/contact_patch.h"
 #include "fit/lift_off.h"
 #include "match/neighbour_correlation.h"
@@ -42,6 +43,9 @@ struct PatchSeriesOptions {
   double sigma_mm = 0.05;              // of the points along the ground's normal, from noise
   double correlation_area_points = 1;  // as in GroundPlaneOptions
   std::optional<LiftOffLaw> law;       // that of another run of the same tyre
+  // Of the frames' thickness_mm. Where it is a map with a sigma the law counts what may be wrong
+  // with it (FitLawAndThickness), and along its modes goes with them.
+  CarcassThickness carcass = {{}, {0}};
 
   // Throws UsageError naming the broken constraint.
   void Check() const;

@@ -10,31 +10,18 @@
 
 #include "calib/error.h"
 #include "calib/median.h"
-#include "calib/mode_triangulation.h"
 #include "match/correlation_area.h"
 #include "match/neighbour_correlation.h"
 #include "track/internal/axis_along_modes.h"
+#include "track/internal/frame_points.h"
 #include "track/internal/turning_over_ground.h"
-#include "track/right_flow.h"
 
 namespace plumbline {
 namespace {
 
 constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
-const Eigen::Vector3d kNowhere = Eigen::Vector3d::Constant(kNone);
 
-// The points of one frame on the survey's grid, in the rig frame.
-struct FramePoints {
-  double time_s = 0;
-  SurfacePoints now, undeformed;
-  Image<Eigen::Vector3d> material;  // angle (rad), place along the axis (mm), radius (mm)
-  Image<Eigen::Matrix3d> cov_mm2;
-  Image<double> thickness_mm;
-  std::vector<Image<double>> thickness_along_modes;  // of the carcass: the last ones of all modes
-  // What one standard deviation of the frame's own pose of the cameras does to the points, along
-  // each of its directions; none where it was not refined.
-  std::vector<Image<Eigen::Vector3f>> along_pose_mm;
-};
+using internal::FramePoints;
 
 // A frame that is placed, in its ground frame.
 struct FrameOverGround {
@@ -64,8 +51,8 @@ class ContactOfRun {
       : reference_(reference),
         rolling_(rolling),
         options_(options),
-        modes_(reference.rig),
         axes_(internal::AxesAlongModes(reference)),
+        points_(reference, rolling, axes_),
         neighbours_(NeighbourCorrelation::OfOverlap(
             rolling.grid, rolling.spacing_px, options.subset_px, options.order, options.circular)) {
     const double area = CorrelationArea(neighbours_, rolling.grid);
@@ -80,15 +67,19 @@ class ContactOfRun {
   RollingContact Find();
 
  private:
-  FramePoints PointsOf(std::size_t f) const;
-  void AddPoseErrors(const RollingFrame& frame, const std::vector<Eigen::Vector2d>& left,
-                     const std::vector<Eigen::Vector2d>& right, FramePoints* out) const;
-  void AddModes(std::size_t f, const std::vector<Eigen::Vector2d>& left,
-                const std::vector<Eigen::Vector2d>& right, FramePoints* out) const;
+  FramePoints PointsOf(std::size_t f) const {
+    FramePoints points = points_.Of(f, options_.carcass);
+    points.time_s = TimeOf(f);
+    return points;
+  }
   GroundObservation Observe(std::size_t f) const;
   std::vector<PoseObservation> ObserveAll() const;
   void TurnByHand(RollingContact* contact) const;
+  void FindGround(RollingContact* contact) const;
+  std::vector<PatchFrame> PatchFramesOf(const RollingContact& contact) const;
+  void CorrectCarcass(RollingContact* contact);
   void FindPatchesOf(RollingContact* contact) const;
+  void SetSigma();
   std::optional<FrameOverGround> OverGround(std::size_t f, const RollingContact& contact) const;
   Image<std::uint8_t> InContact(const FramePoints& points, const RollingContactFrame& frame) const;
   void Deform(std::size_t f, const FrameOverGround& now, RollingContactFrame* out) const;
@@ -100,130 +91,22 @@ class ContactOfRun {
     const RollingFrame& frame = rolling_.frames[f];
     return clock_ ? frame.time_s : static_cast<double>(frame.index);
   }
-  double SigmaOf(const FramePoints& points) const;
+  double SigmaOf(std::size_t f) const;
 
   const WheelReference& reference_;
   const RollingWheel& rolling_;
   RollingContactOptions options_;
-  ModeTriangulation modes_;
   std::vector<WheelAxis> axes_;  // along the modes
+  internal::PointsOfFrames points_;
   NeighbourCorrelation neighbours_;
   bool clock_ = true;
 };
 
-FramePoints ContactOfRun::PointsOf(std::size_t f) const {
-  const RollingFrame& frame = rolling_.frames[f];
-  const ImageSize size = rolling_.grid;
-  FramePoints out;
-  out.time_s = TimeOf(f);
-  out.now.point_mm = out.undeformed.point_mm = out.material =
-      Image<Eigen::Vector3d>(size, kNowhere);
-  out.now.cov_random_mm2 = out.undeformed.cov_random_mm2 =
-      Image<Eigen::Matrix<float, 6, 1>>(size, Eigen::Matrix<float, 6, 1>::Zero());
-  out.cov_mm2 = Image<Eigen::Matrix3d>(size, Eigen::Matrix3d::Constant(kNone));
-  const Rigid3 rig_from_wheel = reference_.axis.RigFromWheel(frame.angle_rad);
-  std::vector<Eigen::Vector2d> left, right;
-  for (const RollingPoint& p : frame.points) {
-    const int r = p.at.y(), c = p.at.x();
-    out.now.point_mm(r, c) = p.point_mm;
-    out.now.cov_random_mm2(r, c) = p.cov_random_mm2;
-    out.cov_mm2(r, c) = CovarianceOf(p.cov_random_mm2);
-    out.undeformed.point_mm(r, c) = rig_from_wheel * p.undeformed_mm;
-    out.undeformed.cov_random_mm2(r, c) =
-        TriangleOf(Eigen::Matrix3d(rig_from_wheel.rotation * CovarianceOf(p.cov_undeformed_mm2) *
-                                   rig_from_wheel.rotation.transpose()));
-    out.material(r, c) = {MaterialAngle(p.undeformed_mm), p.undeformed_mm.y(),
-                          std::hypot(p.undeformed_mm.x(), p.undeformed_mm.z())};
-    left.push_back(p.left_px);
-    right.push_back(p.right_px);
-  }
-  const CarcassThickness& carcass = options_.carcass;
-  const Image<Eigen::Vector3d>& undeformed = out.undeformed.point_mm;
-  out.thickness_mm = ThicknessOver(carcass, undeformed, reference_.axis);
-  for (int k = 0; k < carcass.mode_count(); ++k) {
-    out.thickness_along_modes.push_back(
-        ThicknessOver(carcass.AlongMode(k), undeformed, reference_.axis));
-  }
-  AddModes(f, left, right, &out);
-  AddPoseErrors(frame, left, right, &out);
-  return out;
-}
-
-void ContactOfRun::AddPoseErrors(const RollingFrame& frame,
-                                 const std::vector<Eigen::Vector2d>& left,
-                                 const std::vector<Eigen::Vector2d>& right,
-                                 FramePoints* out) const {
-  StereoRig rig = reference_.rig;
-  for (const Rigid3& pose : frame.right_from_left_moved) {
-    rig.right_from_left = pose;
-    const std::vector<Eigen::Vector3d> points = TriangulatePoints(rig, left, right);
-    Image<Eigen::Vector3f> moved(rolling_.grid, Eigen::Vector3f::Zero());
-    for (std::size_t i = 0; i < points.size(); ++i) {
-      const RollingPoint& p = frame.points[i];
-      moved(p.at.y(), p.at.x()) = (points[i] - p.point_mm).cast<float>();
-    }
-    out->along_pose_mm.push_back(std::move(moved));
-  }
-}
-
-// Along a mode the points of the frame and of its view are both elsewhere, and so are the axis and
-// the angles of both.
-void ContactOfRun::AddModes(std::size_t f, const std::vector<Eigen::Vector2d>& left,
-                            const std::vector<Eigen::Vector2d>& right, FramePoints* out) const {
-  const RollingFrame& frame = rolling_.frames[f];
-  const WheelReferenceView& view = reference_.views[frame.view];
-  const std::size_t K = axes_.size(), n = frame.points.size();
-  if (K == 0) return;
-  const Rigid3 rig_from_view = reference_.axis.RigFromWheel(view.angle_rad);
-  std::vector<Eigen::Vector2d> view_left, view_right;
-  for (const RollingPoint& p : frame.points) {
-    const Eigen::Vector3d there = rig_from_view * p.undeformed_mm;
-    view_left.push_back(reference_.rig.left.Project(there));
-    view_right.push_back(reference_.rig.right.Project(reference_.rig.right_from_left * there));
-  }
-  std::vector<Eigen::Vector3f> moved(n * K), view_moved(n * K);
-  modes_.Differences(left, right, moved);
-  modes_.Differences(view_left, view_right, view_moved);
-  if (reference_.delay_mode >= 0) {
-    const auto mode = static_cast<std::size_t>(reference_.delay_mode);
-    const double sigma_s = rolling_.right_delay.sigma_s;
-    const double late_rad = sigma_s > 0 ? frame.speed_rad_s * sigma_s : 0;
-    const double view_late_rad = reference_.SigmaLateTurnOf(view);
-    std::vector<Eigen::Vector2d> right_px, view_right_px;
-    for (const RollingPoint& p : frame.points) {
-      const Eigen::Vector3d there = rig_from_view * p.undeformed_mm;
-      right_px.push_back(-late_rad * p.right_flow_px);
-      view_right_px.push_back(-view_late_rad * RigidRightFlow(reference_, there));
-    }
-    FillModeOfMatches(reference_.rig, left, right, right_px, mode, moved);
-    FillModeOfMatches(reference_.rig, view_left, view_right, view_right_px, mode, view_moved);
-  }
-  const ImageSize size = rolling_.grid;
-  for (std::size_t k = 0; k < K; ++k) {
-    const auto row = static_cast<Eigen::Index>(k);
-    Image<Eigen::Vector3f> now(size, Eigen::Vector3f::Zero()), undeformed = now;
-    const double then = view.angle_rad + reference_.angles_along_modes_rad(row, view.frame);
-    const double angle =
-        frame.angle_rad + rolling_.angle_along_modes_rad(row, static_cast<Eigen::Index>(f));
-    const Rigid3 turn = axes_[k].RigFromWheel(angle) * axes_[k].RigFromWheel(then).Inverse();
-    for (std::size_t i = 0; i < n; ++i) {
-      const RollingPoint& p = frame.points[i];
-      const int r = p.at.y(), c = p.at.x();
-      now(r, c) = moved[i * K + k];
-      const Eigen::Vector3d there =
-          turn * (rig_from_view * p.undeformed_mm + view_moved[i * K + k].cast<double>());
-      undeformed(r, c) = (there - out->undeformed.point_mm(r, c)).cast<float>();
-    }
-    out->now.along_modes_mm.push_back(std::move(now));
-    out->undeformed.along_modes_mm.push_back(std::move(undeformed));
-  }
-}
-
 // Of the points, along the ground's normal: about along the rig's z.
-double ContactOfRun::SigmaOf(const FramePoints& points) const {
+double ContactOfRun::SigmaOf(std::size_t f) const {
   std::vector<double> sigmas;
-  for (const Eigen::Matrix3d& cov : points.cov_mm2.values()) {
-    if (cov.allFinite()) sigmas.push_back(std::sqrt(cov(2, 2)));
+  for (const RollingPoint& p : rolling_.frames[f].points) {
+    if (p.cov_random_mm2.allFinite()) sigmas.push_back(std::sqrt(p.cov_random_mm2[5]));
   }
   return sigmas.empty() ? kNone : Median(std::move(sigmas));
 }
@@ -236,7 +119,7 @@ GroundObservation ContactOfRun::Observe(std::size_t f) const {
                         .thickness_mm = points.thickness_mm,
                         .left_out_mm = ThicknessLeftOutOver(
                             options_.carcass, points.undeformed.point_mm, reference_.axis),
-                        .sigma_mm = SigmaOf(points),
+                        .sigma_mm = SigmaOf(f),
                         .along_modes_mm = points.now.along_modes_mm,
                         .thickness_along_modes = points.thickness_along_modes,
                         .along_pose_mm = points.along_pose_mm},
@@ -286,32 +169,63 @@ void ContactOfRun::TurnByHand(RollingContact* contact) const {
   }
 }
 
-void ContactOfRun::FindPatchesOf(RollingContact* contact) const {
+void ContactOfRun::FindGround(RollingContact* contact) const {
+  const RigRotation rotation =
+      SmoothRigRotation(ObserveAll(), reference_.axis, axes_, options_.rotation);
+  contact->found = rotation.found;
+  contact->problem = rotation.problem;
+  for (std::size_t f = 0; f < contact->frames.size(); ++f) {
+    contact->frames[f].rotation = rotation.frames[f];
+  }
+}
+
+// Of those that are placed.
+std::vector<PatchFrame> ContactOfRun::PatchFramesOf(const RollingContact& contact) const {
   std::vector<PatchFrame> frames;
-  std::vector<std::size_t> places;
-  PatchSeriesOptions options = options_.patch;
-  std::vector<double> sigmas;
   for (std::size_t f = 0; f < rolling_.frames.size(); ++f) {
     if (!Placed(f)) continue;
     FramePoints points = PointsOf(f);
-    sigmas.push_back(SigmaOf(points));
     frames.push_back({.point_mm = std::move(points.now.point_mm),
                       .undeformed_mm = std::move(points.undeformed.point_mm),
                       .thickness_mm = std::move(points.thickness_mm),
                       .cov_mm2 = std::move(points.cov_mm2),
                       .along_modes_mm = std::move(points.now.along_modes_mm),
-                      .rotation = contact->frames[f].rotation,
+                      .rotation = contact.frames[f].rotation,
                       .thickness_along_modes = std::move(points.thickness_along_modes),
                       .along_pose_mm = std::move(points.along_pose_mm)});
-    places.push_back(f);
   }
+  return frames;
+}
+
+// By what touches the ground; the ground is then found anew.
+void ContactOfRun::CorrectCarcass(RollingContact* contact) {
+  const std::vector<PatchFrame> frames = PatchFramesOf(*contact);
+  contact->carcass_check = CheckCarcass(frames, reference_.axis, options_.carcass, options_.patch);
+  if (!options_.carcass.uncertain_map()) return;
+  options_.carcass = EstimateCarcass(frames, reference_.axis, options_.carcass, options_.patch);
+  if (options_.carcass.modes_mm.size() > 0) FindGround(contact);
+}
+
+void ContactOfRun::FindPatchesOf(RollingContact* contact) const {
+  const std::vector<PatchFrame> frames = PatchFramesOf(*contact);
   if (frames.empty()) return;
-  options.sigma_mm = Median(std::move(sigmas));
+  PatchSeriesOptions options = options_.patch;
+  options.carcass = options_.carcass;
   PatchSeries series = FindPatches(frames, reference_.axis, neighbours_, options);
   contact->law = series.law;
-  for (std::size_t i = 0; i < places.size(); ++i) {
-    contact->frames[places[i]].patch = std::move(series.frames[i]);
+  std::size_t i = 0;
+  for (std::size_t f = 0; f < rolling_.frames.size(); ++f) {
+    if (Placed(f)) contact->frames[f].patch = std::move(series.frames[i++]);
   }
+}
+
+// Of all frames.
+void ContactOfRun::SetSigma() {
+  std::vector<double> sigmas;
+  for (std::size_t f = 0; f < rolling_.frames.size(); ++f) {
+    if (Placed(f)) sigmas.push_back(SigmaOf(f));
+  }
+  if (!sigmas.empty()) options_.patch.sigma_mm = Median(std::move(sigmas));
 }
 
 Image<std::uint8_t> ContactOfRun::InContact(const FramePoints& points,
@@ -421,15 +335,14 @@ RollingContact ContactOfRun::Find() {
   RollingContact contact;
   contact.frames.resize(count);
   for (const RollingFrame& frame : rolling_.frames) clock_ = clock_ && std::isfinite(frame.time_s);
+  SetSigma();
   if (options_.manual_turns_deg) {
     TurnByHand(&contact);
   } else {
-    const RigRotation rotation =
-        SmoothRigRotation(ObserveAll(), reference_.axis, axes_, options_.rotation);
-    contact.found = rotation.found;
-    contact.problem = rotation.problem;
-    for (std::size_t f = 0; f < count; ++f) contact.frames[f].rotation = rotation.frames[f];
+    FindGround(&contact);
+    CorrectCarcass(&contact);
   }
+  contact.carcass = options_.carcass;
   FindPatchesOf(&contact);
   std::optional<FrameOverGround> before, now = OverGround(0, contact);
   for (std::size_t f = 0; f < count; ++f) {

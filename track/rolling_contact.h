@@ -6,6 +6,7 @@
 #include <vector>
 
 #include "fit/carcass_thickness.h"
+#include "track/carcass_estimate.h"
 #include "track/ground_observation.h"
 #include "track/patch_series.h"
 #include "track/rig_rotation.h"
@@ -57,12 +58,15 @@ struct RollingContact {
   std::string problem;                      // why not
   std::vector<RollingContactFrame> frames;  // as RollingWheel::frames
   std::optional<LiftOffLaw> law;
+  CarcassThickness carcass;    // corrected by the contact (EstimateCarcass) where it has a sigma
+  CarcassCheck carcass_check;  // of the thickness as it was said
 };
 
 // From the points of a survey to how the rig stands over the ground, where the tyre touches it, how
 // it is deformed and how it slips, frame by frame:
 //
 //   points -> planes of flat contacts, or symmetry -> smoothed rotation of the rig -> ground
+//          -> carcass's thickness by what touches, and again the ground (where it has a sigma)
 //          -> contact patch (law of lift-off), deformation, velocity of the material, slip
 //
 // Ground frames of frames in a row err as the smoother leaves them (RandomCovariance()).

@@ -87,6 +87,39 @@ TEST(CarcassThickness, TellsWhatItsCurveMayLeaveOut) {
   for (double y = -79; y <= 79; ++y) EXPECT_LT(std::abs(coarse.LeftOutAt(y)), 0.05) << y;
 }
 
+TEST(CarcassThickness, SharesAreTheDerivativesByTheEntries) {
+  const CarcassThickness map{{-80, -45, -10, 30, 60, 80}, {22, 20.5, 20, 20.4, 21, 23}};
+  for (const double y : {-79.0, -50.0, -20.0, 1.0, 44.0, 59.0, 75.0}) {
+    const ThicknessShares shares = map.SharesAt(y);
+    ASSERT_GT(shares.count, 2) << y;
+    double sum = 0;
+    for (std::size_t k = 0; k < map.y_mm.size(); ++k) {
+      CarcassThickness more = map, less = map;
+      more.thickness_mm[k] += 1e-3;
+      less.thickness_mm[k] -= 1e-3;
+      const bool in =
+          k >= shares.first && k < shares.first + static_cast<std::size_t>(shares.count);
+      const double share = in ? shares.share[k - shares.first] : 0;
+      EXPECT_NEAR(share, (more.At(y) - less.At(y)) / 2e-3, 1e-4) << y << " " << k;
+      sum += share;
+    }
+    EXPECT_NEAR(sum, 1, 1e-6) << y;
+  }
+  EXPECT_EQ(map.SharesAt(81).count, 0);
+  EXPECT_EQ((CarcassThickness{{}, {20}}).SharesAt(5).share[0], 1);
+}
+
+TEST(CarcassThickness, HasTheModesOfWhatIsLeftOnceTheContactHasToldMore) {
+  CarcassThickness map{{0, 10, 20}, {20, 21, 22}, 0.1};
+  EXPECT_EQ(map.AlongMode(1).thickness_mm, (std::vector<double>{20, 21.1, 22}));
+  map.modes_mm = 0.1 * Eigen::MatrixXd::Identity(3, 3);
+  map.modes_mm(2, 1) = 0.05;
+  EXPECT_EQ(map.AlongMode(1).thickness_mm, (std::vector<double>{20, 21.1, 22.05}));
+  EXPECT_EQ(map.mode_count(), 3);
+  map.modes_mm.resize(2, 2);
+  EXPECT_THROW(map.Check(), UsageError);
+}
+
 TEST(CarcassThickness, GoesByThePlaceOnTheUndeformedWheel) {
   const VirtualRig rig(TyreScenario("tyre-cornering", {0.8, -1.5, 0.4}));
   const TyreFrame frame = TrueTyreFrame(rig, 0, 16);

@@ -2,6 +2,7 @@
 
 #include <gtest/gtest.h>
 
+#include <Eigen/Cholesky>
 #include <cmath>
 #include <limits>
 #include <numbers>
@@ -16,6 +17,8 @@ namespace {
 struct Made {
   Image<Eigen::Vector3d> position, undeformed;
   Image<double> thickness;
+  Image<ThicknessShares> shares = {};
+  LiftOffFrame free_frame() const { return {&position, &undeformed, &thickness, &shares}; }
   LiftOffFrame frame() const { return {&position, &undeformed, &thickness}; }
 };
 
@@ -91,6 +94,126 @@ TEST(LiftOff, SigmasAreThoseOfSampling) {
   }
   EXPECT_NEAR(line_nees, 1, 4 * std::sqrt(2.0 / kDraws));
   EXPECT_NEAR(law_nees, 1, 4 * std::sqrt(2.0 / kDraws));
+}
+
+// The made tyre under a map that is off by errors_mm, with the ground's plane off too.
+Made UnderAWrongMap(const CarcassThickness& map, const std::vector<double>& errors_mm,
+                    double sigma_mm, unsigned seed) {
+  Made made = Make(kLaw, sigma_mm, seed);
+  CarcassThickness wrong = map;
+  for (std::size_t k = 0; k < errors_mm.size(); ++k) wrong.thickness_mm[k] += errors_mm[k];
+  made.shares = Image<ThicknessShares>(made.position.size());
+  for (std::size_t i = 0; i < made.position.pixel_count(); ++i) {
+    const double y = made.position.data()[i].y();
+    const double lift = map.At(y) - kThickness;
+    made.position.data()[i].z() += lift + 0.02 + 3e-4 * y - 1e-4 * made.position.data()[i].x();
+    made.undeformed.data()[i].z() += lift;
+    made.thickness.data()[i] = wrong.At(y);
+    made.shares.data()[i] = wrong.SharesAt(y);
+  }
+  return made;
+}
+
+CarcassThickness SmoothMap() {
+  CarcassThickness map;
+  for (double y = -125; y <= 125; y += 10) {
+    map.y_mm.push_back(y);
+    map.thickness_mm.push_back(kThickness + 5 + 0.04 * y);  // no kinks in its curve
+  }
+  return map;
+}
+
+TEST(LiftOff, TheContactTellsTheThicknessButForAConstantAndASlope) {
+  const CarcassThickness map = SmoothMap();
+  const auto entries = static_cast<Eigen::Index>(map.y_mm.size());
+  std::mt19937 random(3);
+  std::normal_distribution<double> normal(0, 0.02);
+  std::vector<double> errors_mm;
+  for (Eigen::Index k = 0; k < entries; ++k) errors_mm.push_back(normal(random));
+  const Made made = UnderAWrongMap(map, errors_mm, 0, 1);
+  const LiftOffFrame frames[] = {made.free_frame(), made.free_frame()};
+  const ThicknessPrior prior{Eigen::VectorXd::Zero(entries), 0.1};
+  const LawAndThickness found = FitLawAndThickness(frames, 0.001, 1, &prior);
+  // Of what touches (|y| < 80), less the best line.
+  Eigen::VectorXd left(15);
+  Eigen::MatrixXd line(15, 2);
+  for (Eigen::Index k = 0; k < 15; ++k) {
+    const auto at = static_cast<std::size_t>(k + 5);
+    left[k] = found.added_mm[k + 5] + errors_mm[at];
+    line.row(k) << 1, map.y_mm[at];
+  }
+  left -= line * (line.transpose() * line).ldlt().solve(line.transpose() * left);
+  EXPECT_LT(left.cwiseAbs().maxCoeff(), 0.002);
+  EXPECT_NEAR(found.law.m, kLaw.m, 2e-3);
+  // What the ground can absorb, and beyond what is seen, stays as sure as it was.
+  const Eigen::VectorXd constant = Eigen::VectorXd::Ones(entries) / static_cast<double>(entries);
+  EXPECT_NEAR(std::sqrt(constant.dot(found.cov_mm2 * constant)),
+              0.1 / std::sqrt(static_cast<double>(entries)), 0.002);
+  EXPECT_NEAR(std::sqrt(found.cov_mm2(0, 0)), 0.1, 0.002);
+  EXPECT_THROW((void)FitLawAndThickness(std::span(frames).first(0), 0.001, 1, &prior), InputError);
+}
+
+// Held tightly at other values, the law goes as it says.
+TEST(LiftOff, TheLawGoesWithTheThicknessAsItSays) {
+  const CarcassThickness map = SmoothMap();
+  const auto entries = static_cast<Eigen::Index>(map.y_mm.size());
+  const Made made = UnderAWrongMap(map, {}, 0, 1);
+  const LiftOffFrame frames[] = {made.free_frame()};
+  const auto held = [&](const Eigen::VectorXd& at_mm) {
+    const ThicknessPrior prior{at_mm, 1e-6};
+    return FitLawAndThickness(frames, 0.01, 1, &prior);
+  };
+  const Eigen::VectorXd none = Eigen::VectorXd::Zero(entries);
+  const LawAndThickness here = held(none);
+  for (const Eigen::Index k : {3, 8, 12, 20}) {
+    const Eigen::VectorXd step = 0.003 * Eigen::VectorXd::Unit(entries, k);
+    const LawAndThickness more = held(step), less = held(-step);
+    const double of_k = (more.law.log_k - less.law.log_k) / 0.006;
+    const double of_m = (more.law.m - less.law.m) / 0.006;
+    EXPECT_NEAR(here.d_law_d_thickness(0, k), of_k, 0.05 * std::abs(of_k) + 0.01) << k;
+    EXPECT_NEAR(here.d_law_d_thickness(1, k), of_m, 0.05 * std::abs(of_m) + 0.001) << k;
+  }
+}
+
+TEST(LiftOff, SigmasOfLawAndThicknessAreThoseOfSampling) {
+  constexpr int kDraws = 40;
+  constexpr double kMap_mm = 0.05;
+  const CarcassThickness map = SmoothMap();
+  const auto entries = static_cast<Eigen::Index>(map.y_mm.size());
+  std::mt19937 random(5);
+  std::normal_distribution<double> normal(0, kMap_mm);
+  double nees = 0, law_nees = 0;
+  for (int draw = 0; draw < kDraws; ++draw) {
+    std::vector<double> errors_mm;
+    for (Eigen::Index k = 0; k < entries; ++k) errors_mm.push_back(normal(random));
+    const Made made = UnderAWrongMap(map, errors_mm, 0.03, static_cast<unsigned>(draw + 1));
+    const LiftOffFrame frames[] = {made.free_frame()};
+    const ThicknessPrior prior{Eigen::VectorXd::Zero(entries), kMap_mm};
+    const LawAndThickness found = FitLawAndThickness(frames, 0.03, 1, &prior);
+    const Eigen::VectorXd off =
+        found.added_mm + Eigen::Map<const Eigen::VectorXd>(errors_mm.data(), entries);
+    nees += off.dot(found.cov_mm2.ldlt().solve(off)) / static_cast<double>(entries * kDraws);
+    const Eigen::Matrix2d cov = found.law.cov + found.d_law_d_thickness * found.cov_mm2 *
+                                                    found.d_law_d_thickness.transpose();
+    law_nees += std::pow(found.law.m - kLaw.m, 2) / cov(1, 1) / kDraws;
+  }
+  EXPECT_NEAR(nees, 1, 0.2);
+  EXPECT_NEAR(law_nees, 1, 4 * std::sqrt(2.0 / kDraws));
+}
+
+// A point that is lifted has no say in the thickness, and neither has a frame over an obstacle.
+TEST(LiftOff, WhatIsLiftedDoesNotTellTheThickness) {
+  const CarcassThickness map = SmoothMap();
+  const auto entries = static_cast<Eigen::Index>(map.y_mm.size());
+  const ThicknessPrior prior{Eigen::VectorXd::Zero(entries), 0.1};
+  Made made = UnderAWrongMap(map, {}, 0, 1);
+  made.position(30, 35).z() += 4;
+  LiftOffFrame frames[] = {made.free_frame()};
+  EXPECT_LT(FitLawAndThickness(frames, 0.001, 1, &prior).added_mm.norm(), 0.01);
+  for (int c = 30; c < 41; ++c) {
+    for (int r = 25; r < 36; ++r) made.position(r, c).z() += 4;
+  }
+  EXPECT_THROW((void)FitLawAndThickness(frames, 0.001, 1, &prior), InputError);
 }
 
 TEST(LiftOff, SaysWhyThereIsNone) {
