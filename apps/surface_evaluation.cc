@@ -448,7 +448,12 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s,
     return out;
   }
   SurfaceState instant = InFrame(surface.instant, impl.frame);
-  if (body != nullptr && body->told_in) instant = InFrame(instant, *body->told_in);
+  if (body != nullptr && body->told_in) {
+    MeasurementFrame told = *body->told_in;
+    // A refined pose, which the instant is known along too, does not move it.
+    told.along_modes.resize(instant.along_modes_mm.size(), told.frame_from_rig);
+    instant = InFrame(instant, told);
+  }
   const SurfaceMotion motion =
       body == nullptr ? MotionBetween(impl.at_reference, instant, impl.unit)
                       : internal::MotionFromBody(impl.at_reference,
