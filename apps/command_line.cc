@@ -119,6 +119,7 @@ std::string UsageMessage(const CLI::ParseError& error, const std::vector<Registe
 
 int RunCommand(Registered& entry, CommonOptions& common) {
   if (const auto recipe = entry.options->Given("recipe")) entry.options->ReadRecipe(*recipe);
+  entry.command->Complete(*entry.options);
   entry.options->Finish();
   SetUpLog(common);
   std::optional<tbb::global_control> limit;

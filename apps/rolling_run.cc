@@ -11,12 +11,15 @@
 #include <utility>
 
 #include "apps/internal/rolling_records.h"
+#include "apps/internal/surface_records.h"
+#include "apps/internal/survey_records.h"
 #include "apps/internal/tag_records.h"
 #include "apps/internal/wheel_lean.h"
 #include "apps/internal/wheel_motion.h"
 #include "calib/error.h"
 #include "track/right_flow.h"
 #include "track/rolling_starts.h"
+#include "track/stored_matches.h"
 
 namespace plumbline {
 namespace {
@@ -128,7 +131,14 @@ struct RollingRun::Impl {
     return std::make_unique<RollingSurvey>(reference, options.survey, wanted);
   }
   Prepared& Prepare(std::size_t view);
-  SeriesFrame MeasurePlaced(const StereoFrame& pair, std::size_t at, StereoRunFrame& out);
+  void PrepareGrid(const SurveyRecord& survey);
+  bool EndSurvey(const std::string& first_problem);
+  bool IsPlaced(std::size_t at) const {
+    return rolling.frames.at(at).status == RollingFrameStatus::kPlaced;
+  }
+  StereoField Match(const StereoFrame& pair, std::size_t at);
+  void EvaluatePlaced(const StereoField& field, double time_s, std::size_t at, StereoRunFrame& out);
+  void Complete(std::size_t at, SeriesFrame* frame) const;
   std::optional<UncertainFrame> GroundAt(std::size_t at) const;
   void AddContact(std::size_t at, SeriesFrame* frame) const;
   void AddLean(std::size_t at, SeriesFrame* frame) const;
@@ -148,6 +158,7 @@ struct RollingRun::Impl {
   double threshold_mm = 0;
   std::string convention;        // of slip
   std::list<Prepared> prepared;  // the last used first
+  PlanarField grid;              // of the points that are measured, without its values
 };
 
 RollingRun::Impl::Prepared& RollingRun::Impl::Prepare(std::size_t view) {
@@ -164,6 +175,7 @@ RollingRun::Impl::Prepared& RollingRun::Impl::Prepare(std::size_t view) {
                                                    wanted, RightPlaceOf(reference, v));
   StereoField pair = anew.sequence->reference();
   anew.flow.emplace(reference, pair);
+  grid = internal::GridOf(pair.left);
   const Image<Eigen::Vector2d> flow_px = anew.flow->Of(pair.right);
   MoveAlong(flow_px, -reference.LateTurnOf(v), &pair.right);
   anew.evaluation = std::make_unique<SurfaceEvaluation>(
@@ -193,6 +205,18 @@ const WheelReference& RollingRun::reference() const { return impl_->reference; }
 const RightDelayEstimate& RollingRun::right_delay() const { return impl_->estimate; }
 const RightDelay& RollingRun::right_delay_used() const { return impl_->delay; }
 
+// Whether there is anything to go on with; it is, or that throws.
+bool RollingRun::Impl::EndSurvey(const std::string& first_problem) {
+  rolling = survey->Finish();
+  if (rolling.placed() > 0) survey->MoveBack(delay, &rolling);
+  if (rolling.frames.empty()) throw InputError("There are no frames to measure.");
+  if (rolling.placed() == 0) {
+    throw InputError(fmt::format("None of the {} frames is found on the wheel; the first one: {}.",
+                                 rolling.frames.size(), first_problem));
+  }
+  return true;
+}
+
 bool RollingRun::Survey(ImageSource& source, const RollingProgress& progress) {
   Impl& impl = *impl_;
   const std::int64_t total = source.DeclaredCount();
@@ -209,14 +233,29 @@ bool RollingRun::Survey(ImageSource& source, const RollingProgress& progress) {
     }
     if (first_problem.empty()) first_problem = problem;
   }
-  impl.rolling = impl.survey->Finish();
-  if (impl.rolling.placed() > 0) impl.survey->MoveBack(impl.delay, &impl.rolling);
-  if (impl.rolling.frames.empty()) throw InputError("There are no frames to measure.");
-  if (impl.rolling.placed() == 0) {
-    throw InputError(fmt::format("None of the {} frames is found on the wheel; the first one: {}.",
-                                 impl.rolling.frames.size(), first_problem));
+  return impl.EndSurvey(first_problem);
+}
+
+void RollingRun::Impl::PrepareGrid(const SurveyRecord& survey) {
+  if (!(survey.view >= 0 && survey.view < static_cast<double>(reference.views.size()))) {
+    throw InputError("the survey's matches are not with views of this wheel");
   }
-  return true;
+  Prepare(static_cast<std::size_t>(survey.view));
+}
+
+bool RollingRun::SurveyAgain(std::int64_t count, const MeasuredFrames& frames,
+                             const RollingProgress& progress) {
+  Impl& impl = *impl_;
+  std::string first_problem;
+  for (std::int64_t i = 0; i < count; ++i) {
+    if (!progress(i, count)) return false;
+    const SeriesFrame stored = frames(i);
+    if (stored.survey.found && impl.grid.size() == ImageSize{}) impl.PrepareGrid(stored.survey);
+    const RollingFrame& frame =
+        impl.survey->AddMatched(internal::RollingFrameOf(stored, impl.grid));
+    if (first_problem.empty()) first_problem = frame.problem;
+  }
+  return impl.EndSurvey(first_problem);
 }
 
 std::vector<std::string> RollingRun::Notes() const {
@@ -285,6 +324,8 @@ SeriesHeader RollingRun::Header() {
   SeriesHeader header = impl.Prepare(placed->view).evaluation->Header();
   header.contents.velocity = header.contents.rigid_motion = false;
   header.contents.wheel = header.contents.material = header.contents.placement = true;
+  header.contents.survey = header.contents.matches;
+  header.surveyed_frames = static_cast<std::int64_t>(frames.size());
   if (impl.contact) {
     header.contents.patch = header.contents.slip = true;
     header.contents.rig_rotation = header.contents.deformation = true;
@@ -300,29 +341,35 @@ SeriesHeader RollingRun::Header() {
   return header;
 }
 
-SeriesFrame RollingRun::Impl::MeasurePlaced(const StereoFrame& pair, std::size_t at,
-                                            StereoRunFrame& out) {
-  const auto begin = std::chrono::steady_clock::now();
+// As if both cameras had exposed together.
+StereoField RollingRun::Impl::Match(const StereoFrame& pair, std::size_t at) {
   Prepared& by = Prepare(rolling.frames[at].view);
   by.sequence->Restart();
   const StereoField starts = StartsOf(rolling, at, by.sequence->reference().left);
   StereoField field = by.sequence->AddFrom(starts, pair.left, pair.right, pair.index);
-  out.match_s = SecondsSince(begin);
-  out.left_counts = field.left_counts;
-  out.right_counts = field.right_counts;
+  if (delay.value_s != 0) {
+    MoveAlong(by.flow->Of(field.right), -rolling.frames[at].speed_rad_s * delay.value_s,
+              &field.right);
+  }
+  RoundAsStored(&field);
+  return field;
+}
+
+void RollingRun::Impl::EvaluatePlaced(const StereoField& field, double time_s, std::size_t at,
+                                      StereoRunFrame& out) {
+  Prepared& by = Prepare(rolling.frames[at].view);
   BodyMotion body = internal::TurnSinceView(reference, rolling, at);
   if (delay.any() || reference.delay_mode >= 0) {
-    const double speed_rad_s = rolling.frames[at].speed_rad_s;
-    const Image<Eigen::Vector2d> flow_px = by.flow->Of(field.right);
-    if (delay.value_s != 0) MoveAlong(flow_px, -speed_rad_s * delay.value_s, &field.right);
-    body.match_mode = ModeOf(flow_px, delay.sigma_s > 0 ? speed_rad_s * delay.sigma_s : 0);
+    body.match_mode =
+        ModeOf(by.flow->Of(field.right),
+               delay.sigma_s > 0 ? rolling.frames[at].speed_rad_s * delay.sigma_s : 0);
   }
   const std::optional<UncertainFrame> ground = GroundAt(at);
   if (ground) {
     body = internal::InGround(std::move(body), contact->frames[at].rotation.ground,
                               *options.evaluation.known_frame);
   }
-  SeriesFrame frame = by.evaluation->Evaluate(field, pair.time_s, &body);
+  SeriesFrame& frame = out.frame = by.evaluation->Evaluate(field, time_s, &body);
   frame.ground.problem = "the ground under the tyre was not looked for";
   frame.wheel = internal::WheelRecordOf(reference, rolling, at, ground ? &*ground : nullptr);
   Rigid3 here_from_wheel = reference.axis.RigFromWheel(rolling.frames[at].angle_rad);
@@ -333,8 +380,6 @@ SeriesFrame RollingRun::Impl::MeasurePlaced(const StereoFrame& pair, std::size_t
     internal::AddGroundErrors(*ground, &frame.surface);
   }
   out.summary = by.evaluation->Summarise(frame);
-  out.evaluate_s = SecondsSince(begin) - out.match_s;
-  return frame;
 }
 
 std::optional<UncertainFrame> RollingRun::Impl::GroundAt(std::size_t at) const {
@@ -412,26 +457,65 @@ void RollingRun::FindContact(RollingContactOptions contact) {
   impl.survey.reset();
 }
 
+// What is known of a frame beside its points.
+void RollingRun::Impl::Complete(std::size_t at, SeriesFrame* frame) const {
+  if (!frame->wheel.found) frame->wheel.problem = frame->problem;
+  AddLean(at, frame);
+  frame->placement = internal::PlacementRecordOf(rolling, at);
+  if (!frame->placement.found) frame->placement.problem = frame->problem;
+  AddContact(at, frame);
+  if (options.evaluation.matches) frame->survey = internal::SurveyRecordOf(rolling, at, grid);
+}
+
 StereoRunFrame RollingRun::Measure(const StereoFrame& pair, std::int64_t position) {
   StereoRunFrame out;
   const auto at = static_cast<std::size_t>(position);
-  const RollingFrame& placed = impl_->rolling.frames.at(at);
+  const auto begin = std::chrono::steady_clock::now();
   if (!pair.problem.empty()) {
     out.frame.problem = pair.problem;
-  } else if (placed.status != RollingFrameStatus::kPlaced) {
-    out.frame.problem = "not found on the wheel: " + placed.problem;
+  } else if (!impl_->IsPlaced(at)) {
+    out.frame.problem = "not found on the wheel: " + impl_->rolling.frames[at].problem;
   } else {
-    out.frame = impl_->MeasurePlaced(pair, at, out);
+    const StereoField field = impl_->Match(pair, at);
+    out.match_s = SecondsSince(begin);
+    out.left_counts = field.left_counts;
+    out.right_counts = field.right_counts;
+    impl_->EvaluatePlaced(field, pair.time_s, at, out);
+    out.evaluate_s = SecondsSince(begin) - out.match_s;
   }
-  if (!out.frame.wheel.found) out.frame.wheel.problem = out.frame.problem;
-  impl_->AddLean(at, &out.frame);
-  out.frame.placement = internal::PlacementRecordOf(impl_->rolling, at);
-  if (!out.frame.placement.found) out.frame.placement.problem = out.frame.problem;
-  impl_->AddContact(at, &out.frame);
+  impl_->Complete(at, &out.frame);
   out.frame.index = pair.index;
   out.frame.time_s = pair.time_s;
   out.frame.left_id = pair.left_id;
   out.frame.right_id = pair.right_id;
+  return out;
+}
+
+StereoRunFrame RollingRun::MeasureAgain(const SeriesFrame& before, std::int64_t position) {
+  StereoRunFrame out;
+  Impl& impl = *impl_;
+  const auto at = static_cast<std::size_t>(position);
+  const auto begin = std::chrono::steady_clock::now();
+  if (!impl.IsPlaced(at) && before.problem.empty()) {
+    out.frame.problem = "not found on the wheel: " + impl.rolling.frames[at].problem;
+  } else if (impl.IsPlaced(at) && before.wheel.found) {
+    // Also where none of its points was found, as then.
+    const StereoField field =
+        before.problem.empty() ? internal::FieldOf(before.match, before.surface.status, impl.grid)
+                               : internal::NoneOf(impl.grid);
+    impl.EvaluatePlaced(field, before.time_s, at, out);
+    // Scores are not worked out again.
+    if (out.frame.problem.empty()) out.frame.surface.correlation = before.surface.correlation;
+    out.evaluate_s = SecondsSince(begin);
+  } else {
+    out.frame.problem = before.problem;
+  }
+  impl.Complete(at, &out.frame);
+  out.frame.index = before.index;
+  out.frame.time_s = before.time_s;
+  out.frame.left_id = before.left_id;
+  out.frame.right_id = before.right_id;
+  out.frame.dropped_before = before.dropped_before;
   return out;
 }
 

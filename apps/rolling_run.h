@@ -39,6 +39,9 @@ struct RollingRunOptions {
   void Check() const;
 };
 
+// A frame of a run that was measured before, by its place in it.
+using MeasuredFrames = std::function<SeriesFrame(std::int64_t position)>;
+
 // Told before each frame of the first pass; returning false ends it.
 using RollingProgress = std::function<bool(std::int64_t done, std::int64_t total)>;
 
@@ -51,6 +54,10 @@ using RollingProgress = std::function<bool(std::int64_t done, std::int64_t total
 //
 // What needs all frames, as how the rig turns over the ground, follows from the sparse points
 // (FindContact).
+//
+// What both passes match is rounded as files hold it before anything is made of it, so that a run
+// is told again from its file (SurveyAgain, MeasureAgain), with other settings or the same to the
+// last bit. The options that say how images are matched have to be those of then.
 //
 // Frame:  the ground's, where it was found in the frame; else the rig's, as the wheel's axis holds
 //         it: along a calibration mode the axis stays where it is.
@@ -72,6 +79,12 @@ class RollingRun {
   // The first pass. False: stopped. Throws InputError where no frame is on the wheel, saying why,
   // and as the source.
   bool Survey(ImageSource& source, const RollingProgress& progress);
+
+  // The first pass over a run that was measured before: of each frame its survey is needed
+  // (SeriesReader::SurveyedFrame). Throws as Survey(), and InputError where the matches are not
+  // those of this wheel and these options.
+  bool SurveyAgain(std::int64_t count, const MeasuredFrames& frames,
+                   const RollingProgress& progress);
 
   // After Survey(): the ground under the tyre, its contact and its slip in every frame; positions
   // are then told in the ground frame of their moment. What depends on the survey's points in
@@ -99,6 +112,8 @@ class RollingRun {
   // The pair at this place of the recording, from 0. Throws InputError when the images are not of
   // the rig's size.
   StereoRunFrame Measure(const StereoFrame& pair, std::int64_t position);
+  // The frame at this place of a run that was measured before, all of it, in place of its images.
+  StereoRunFrame MeasureAgain(const SeriesFrame& before, std::int64_t position);
 
  private:
   struct Impl;

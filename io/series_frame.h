@@ -43,6 +43,7 @@ struct SeriesContents {
   bool strain_windows = false;  // a gauge at each point: /strain/window_points, the model's errors
   bool wheel_channel = false;   // /wheel_channel
   bool placement = false;       // /placement
+  bool survey = false;          // /survey
 
   friend bool operator==(const SeriesContents&, const SeriesContents&) = default;
 };
@@ -125,7 +126,8 @@ struct VelocityField {
 };
 
 // Where each point is seen, and how sure, as /match holds it: what all else follows from without
-// correlating again. Under the rules of DisplacementField; what a matcher cannot tell is NaN.
+// correlating again. Numbers at each point that both images were matched at, whatever the surface's
+// status says of what became of it; what a matcher cannot tell is NaN.
 struct MatchField {
   // The pixel in that image now, less the grid's pixel.
   Image<Eigen::Vector2f> left_displacement_px, right_displacement_px;
@@ -136,6 +138,25 @@ struct MatchField {
   // of the reference image: that part is common to all matches of one subset.
   Image<Eigen::Vector3f> left_cov_px2, right_cov_px2;
   Image<float> left_reference_share, right_reference_share;
+};
+
+// What the first pass over a rolling tyre saw of a frame, as /survey holds it: the wheel's angle,
+// the ground and all that is told of the contact follow from it and the wheel's reference without
+// the images. Where it was found, its numbers are numbers.
+struct SurveyRecord {
+  bool found = false;
+  std::string problem;               // why the frame is not on the wheel
+  double view = kNotMeasured;        // of the wheel's reference, from 0, that it was matched with
+  double near_rad = kNotMeasured;    // the wheel's angle near which it was looked for
+  double spacing_px = kNotMeasured;  // of the points, in the view's left image
+  // Of the view's points that lie so far apart, from the first point of the grid on; NaN elsewhere.
+  // Displacements are as seen, before a delay of the right camera is taken out.
+  MatchField match;
+  // The tags that it shows, as JSON: {"tags": [{"id", "left_px", "right_px"}], "twice": [id]}, with
+  // four corners each; empty where none were looked for.
+  std::string tags;
+
+  static constexpr double kNotMeasured = std::numeric_limits<double>::quiet_NaN();
 };
 
 // The matches of the pair that displacements count from, as /reference holds them, whether it is
@@ -242,6 +263,7 @@ struct SeriesFrame {
   WheelChannelRecord wheel_channel;
   MaterialField material;
   PlacementRecord placement;
+  SurveyRecord survey;
 };
 
 }  // namespace plumbline

@@ -1,5 +1,6 @@
 #include "io/series_reader.h"
 
+#include <cmath>
 #include <limits>
 #include <stdexcept>
 #include <utility>
@@ -33,6 +34,8 @@ Eigen::MatrixXd ToMatrix(const internal::RecordField& field, const std::vector<d
 // What SeriesHeader has of the same names.
 struct Attributes {
   std::string grid_points, displacement_reference, strain_measure, strain_axes, slip_convention;
+  std::optional<RightDelay> right_delay, estimated_right_delay;
+  std::int64_t surveyed_frames = 0;
   bool rigid_motion_removed = false;
   int vsg_px = 0;
   double vsg_mm = 0;
@@ -58,6 +61,7 @@ struct SeriesReader::Impl {
   std::vector<std::string> left_id, right_id, problem;
   std::vector<std::uint8_t> status, surface_frame;
   std::vector<std::int32_t> dropped_before;
+  std::vector<std::string> survey_tags;
   std::vector<RecordColumns> records;
 
   explicit Impl(const fs::path& path) : file(path, internal::SeriesFile::Kind::kStereo) {
@@ -86,12 +90,35 @@ struct SeriesReader::Impl {
       attributes.rigid_motion_removed =
           hdf5::GetNumber(displacement.get(), "rigid_motion_removed", 0) != 0;
     }
+    attributes.right_delay = ReadDelay("");
+    attributes.estimated_right_delay = ReadDelay("estimated_");
+    if (contents.survey) {
+      const double frames =
+          hdf5::GetNumber(hdf5::OpenGroup(file.id(), "/survey").get(), "frames", 0);
+      if (!(frames >= 0 && frames <= static_cast<double>(internal::kMaxFrames))) {
+        throw hdf5::Error("frames of /survey is out of range");
+      }
+      attributes.surveyed_frames = static_cast<std::int64_t>(frames);
+    }
     if (!contents.strain) return;
     const hdf5::Id strain = hdf5::OpenGroup(file.id(), "/strain");
     const double vsg_px = hdf5::GetNumber(strain.get(), "vsg_px", 0);
     if (!(vsg_px >= 0 && vsg_px <= 1e6)) throw hdf5::Error("vsg_px of /strain is out of range");
     attributes.vsg_px = static_cast<int>(vsg_px);
     attributes.vsg_mm = hdf5::GetNumber(strain.get(), "vsg_mm", 0);
+  }
+
+  std::optional<RightDelay> ReadDelay(const std::string& which) const {
+    if (!contents.wheel) return std::nullopt;
+    const hdf5::Id wheel = hdf5::OpenGroup(file.id(), "/wheel");
+    constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
+    const auto number = [&](const std::string& name) {
+      return hdf5::GetNumber(wheel.get(), name, kNone);
+    };
+    const RightDelay delay{number(which + "right_delay_s"),
+                           number("sigma_" + which + "right_delay_s")};
+    if (!std::isfinite(delay.value_s) || !(delay.sigma_s >= 0)) return std::nullopt;
+    return delay;
   }
 
   void ReadFrames() {
@@ -118,6 +145,9 @@ struct SeriesReader::Impl {
       file.CheckLengths(group.path, index.size(),
                         {records.back().status.size(), records.back().problem.size()});
     }
+    if (!contents.survey) return;
+    survey_tags = hdf5::ReadTexts(file.id(), internal::kSurveyTags);
+    file.CheckLengths("/survey", index.size(), {survey_tags.size()});
   }
 
   std::vector<Channel> ReadChannels() const {
@@ -141,13 +171,20 @@ struct SeriesReader::Impl {
     return channels;
   }
 
-  void ReadPoints(std::size_t i, SeriesFrame* frame) const {
+  // What there is of the groups that `wanted` says.
+  template <typename Wanted>
+  void ReadGroups(std::size_t i, const Wanted& wanted, SeriesFrame* frame) const {
     const std::uint32_t bits = internal::BitsOf(contents);
     for (const internal::PointField& field : internal::StereoPoints().fields) {
       const std::string path = field.PathIn(version);
-      if (!internal::Holds(bits, field.needs) || path.empty()) continue;
+      if (!wanted(field.group) || !internal::Holds(bits, field.needs) || path.empty()) continue;
       internal::VisitImage(*frame, field, [&](auto& image) { ReadImage(path, i, &image); });
     }
+  }
+
+  void ReadPoints(std::size_t i, SeriesFrame* frame) const {
+    ReadGroups(
+        i, [](std::uint8_t group) { return group != internal::kSurvey; }, frame);
     if (contents.strain && frame->strain.status.empty()) {
       frame->strain.status = StatusOfOldStrain(*frame);
     }
@@ -194,6 +231,25 @@ struct SeriesReader::Impl {
     return status;
   }
 
+  void ReadSurvey(std::size_t i, SeriesFrame* frame) const {
+    if (!contents.survey) return;
+    frame->survey.tags = survey_tags[i];
+    if (!frame->survey.found) return;
+    ReadGroups(
+        i, [](std::uint8_t group) { return group == internal::kSurvey; }, frame);
+  }
+
+  SeriesFrame ReadFacts(std::size_t i) const {
+    SeriesFrame frame;
+    frame.index = index[i];
+    frame.time_s = time_s[i];
+    frame.left_id = left_id[i];
+    frame.right_id = right_id[i];
+    frame.problem = problem[i];
+    frame.dropped_before = dropped_before[i];
+    return frame;
+  }
+
   void ReadRecord(const RecordColumns& columns, std::size_t i, SeriesFrame* frame) const {
     const internal::RecordGroup& group = *columns.group;
     const bool found = columns.status[i] == 0;
@@ -233,6 +289,13 @@ double SeriesReader::vsg_mm() const { return impl_->attributes.vsg_mm; }
 const std::string& SeriesReader::slip_convention() const {
   return impl_->attributes.slip_convention;
 }
+const std::optional<RightDelay>& SeriesReader::right_delay() const {
+  return impl_->attributes.right_delay;
+}
+const std::optional<RightDelay>& SeriesReader::estimated_right_delay() const {
+  return impl_->attributes.estimated_right_delay;
+}
+std::int64_t SeriesReader::surveyed_frames() const { return impl_->attributes.surveyed_frames; }
 std::vector<Channel> SeriesReader::channels() const {
   return impl_->file.Reading([&] { return impl_->ReadChannels(); });
 }
@@ -243,21 +306,31 @@ std::int64_t SeriesReader::frame_count() const {
 SeriesFrame SeriesReader::Frame(std::int64_t i) const {
   if (i < 0 || i >= frame_count()) throw std::out_of_range("SeriesReader::Frame");
   const auto k = static_cast<std::size_t>(i);
-  SeriesFrame frame;
-  frame.index = impl_->index[k];
-  frame.time_s = impl_->time_s[k];
-  frame.left_id = impl_->left_id[k];
-  frame.right_id = impl_->right_id[k];
-  frame.problem = impl_->problem[k];
-  frame.dropped_before = impl_->dropped_before[k];
+  SeriesFrame frame = impl_->ReadFacts(k);
   impl_->file.Reading([&] {
     if (impl_->status[k] == 0) impl_->ReadPoints(k, &frame);
     for (const RecordColumns& columns : impl_->records) impl_->ReadRecord(columns, k, &frame);
+    impl_->ReadSurvey(k, &frame);
     if (frame.patch.found) {
       frame.patch.contour_mm = internal::ReadPatchContour(impl_->file.id(), k);
     }
   });
   frame.surface.frame = impl_->surface_frame[k] == 0 ? SurfaceFrame::kRig : SurfaceFrame::kGround;
+  return frame;
+}
+
+SeriesFrame SeriesReader::SurveyedFrame(std::int64_t i) const {
+  if (i < 0 || i >= frame_count()) throw std::out_of_range("SeriesReader::SurveyedFrame");
+  const auto k = static_cast<std::size_t>(i);
+  SeriesFrame frame = impl_->ReadFacts(k);
+  impl_->file.Reading([&] {
+    for (const RecordColumns& columns : impl_->records) {
+      const internal::ContentFlag holds = columns.group->needs;
+      if (holds != &SeriesContents::survey && holds != &SeriesContents::placement) continue;
+      impl_->ReadRecord(columns, k, &frame);
+    }
+    impl_->ReadSurvey(k, &frame);
+  });
   return frame;
 }
 

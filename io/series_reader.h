@@ -39,6 +39,9 @@ class SeriesReader {
   int vsg_px() const;
   double vsg_mm() const;
   const std::string& slip_convention() const;
+  const std::optional<RightDelay>& right_delay() const;
+  const std::optional<RightDelay>& estimated_right_delay() const;
+  std::int64_t surveyed_frames() const;
   // By name. Throws InputError.
   std::vector<Channel> channels() const;
   std::int64_t frame_count() const;
@@ -48,6 +51,8 @@ class SeriesReader {
   // all NaN where the frame had none. Memory: that of one frame. Throws InputError,
   // std::out_of_range.
   SeriesFrame Frame(std::int64_t i) const;
+  // Of the same frame its number, time, ids, problem, placement and survey alone.
+  SeriesFrame SurveyedFrame(std::int64_t i) const;
 
  private:
   struct Impl;

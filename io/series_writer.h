@@ -61,6 +61,8 @@ struct SeriesHeader {
   // Attributes of /wheel: the delay of the right camera that is taken out of a rolling tyre, and
   // what its images say of it, where they do.
   std::optional<RightDelay> right_delay = {}, estimated_right_delay = {};
+  // Attribute of /survey: frames of the recording that the survey went over.
+  std::int64_t surveyed_frames = 0;
   std::vector<Channel> channels = {};
   std::optional<SeriesShard> shard = {};  // nothing: the run is whole
 };

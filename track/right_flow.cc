@@ -5,6 +5,7 @@
 
 #include "calib/triangulate.h"
 #include "track/internal/still_modes.h"
+#include "track/internal/survey_grid.h"
 #include "track/surface_state.h"
 
 namespace plumbline {
@@ -31,6 +32,12 @@ Image<Eigen::Vector2d> RightFlow::Of(const PlanarField& right) const {
     if (gradient.allFinite()) flow.data()[i] += gradient.cast<double>() * left_px_.data()[i];
   }
   return flow;
+}
+
+RightFlow RightFlow::Every(int stride) const {
+  RightFlow thinned;
+  thinned.left_px_ = internal::EveryOf(left_px_, stride);
+  return thinned;
 }
 
 void MoveAlong(const Image<Eigen::Vector2d>& flow_px, double turn_rad, PlanarField* right) {

@@ -30,7 +30,12 @@ class RightFlow {
   // where the view has no point.
   [[nodiscard]] Image<Eigen::Vector2d> Of(const PlanarField& right) const;
 
+  // That of every `stride`-th point of the grid along its rows and columns.
+  [[nodiscard]] RightFlow Every(int stride) const;
+
  private:
+  RightFlow() = default;
+
   Image<Eigen::Vector2d> left_px_;  // of the view, a radian
 };
 

@@ -65,6 +65,8 @@ struct RollingSurvey::Impl {
     std::size_t view = 0;
     std::unique_ptr<StereoSequence> sequence;
     StereoField pair;  // of the view's images, as if exposed together
+    int stride = 1;    // of the points that may be kept; the next two are theirs
+    StereoField kept;  // of the pair, as it was exposed
     std::optional<RightFlow> flow;
     internal::ViewMaterial material;   // NaN where the view has no point
     Eigen::MatrixXf material_along;    // (points of the grid, K): of their MaterialAngle()
@@ -78,16 +80,15 @@ struct RollingSurvey::Impl {
   void Search(double rough_rad, const GrayImage& left, const GrayImage& right, RollingFrame& frame);
   StereoField Expect(const internal::SurfaceMemory& supposed, const Prepared& prepared,
                      double angle_rad) const;
-  void Place(const Prepared& prepared, const StereoField& field, double rough_rad,
-             RollingFrame& frame);
+  void Place(const Prepared& prepared, StereoField matches, double rough_rad, RollingFrame& frame);
   void Forget(RollingFrame& frame);
-  void Keep(const Prepared& prepared, const StereoField& field, RollingFrame& frame);
+  void Keep(const Prepared& prepared, RollingFrame& frame);
   void AddRow(const RollingFrame& frame, const Prepared& prepared, double rough_rad);
 
   const WheelReference& wheel;
   RollingSurveyOptions options;
   Image<std::uint8_t> mask;
-  WheelLibrary library;
+  std::optional<WheelLibrary> library;  // where there are images
   ModeTriangulation modes;
   std::vector<WheelAxis> axes_along;  // one a mode
   std::list<Prepared> prepared;       // the last used first
@@ -105,10 +106,11 @@ RollingSurvey::Impl::Impl(const WheelReference& w, const RollingSurveyOptions& o
     : wheel(w),
       options(internal::Coarser(o, w.rig.left.size())),
       mask(m),
-      library(w, o.library),
       modes(w.rig),
       axes_along(internal::AxesAlongModes(w)),
-      memory(w) {}
+      memory(w) {
+  if (o.images) library.emplace(w, o.library);
+}
 
 RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
   const auto found = std::find_if(prepared.begin(), prepared.end(),
@@ -123,8 +125,12 @@ RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
   anew.sequence = std::make_unique<StereoSequence>(wheel.rig, v.left, v.right, options.matching,
                                                    mask, RightPlaceOf(wheel, v));
   anew.pair = anew.sequence->reference();
-  anew.flow.emplace(wheel, anew.pair);
-  MoveAlong(anew.flow->Of(anew.pair.right), -wheel.LateTurnOf(v), &anew.pair.right);
+  anew.stride = internal::StrideFor(static_cast<int>(anew.pair.left.status.pixel_count()),
+                                    options.most_points);
+  anew.kept = internal::EveryMatch(anew.pair, anew.stride);
+  const RightFlow flow(wheel, anew.pair);
+  anew.flow = flow.Every(anew.stride);
+  MoveAlong(flow.Of(anew.pair.right), -wheel.LateTurnOf(v), &anew.pair.right);
   anew.material = internal::MaterialOf(wheel, v, anew.pair);
   anew.material_along =
       internal::MaterialAlongModes(wheel, v, anew.material.point_mm, modes, axes_along);
@@ -137,10 +143,10 @@ RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
 }
 
 // The points that both cameras see, of known material.
-void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, RollingFrame& frame) {
-  const StereoSequence& sequence = *by.sequence;
+void RollingSurvey::Impl::Keep(const Prepared& by, RollingFrame& frame) {
+  const StereoField& field = frame.matches;
   const Image<Eigen::Vector3d>& material = by.material.point_mm;
-  const Image<Eigen::Vector3f> unit = UnitCovariance(sequence.reference(), field);
+  const Image<Eigen::Vector3f> unit = UnitCovariance(by.kept, field);
   const Image<Eigen::Vector2d> flow_px = by.flow->Of(field.right);
   internal::SurveyRows::PoseMatches& pose = rows.poses.back();
   if (by.pose) pose = internal::SurveyRows::PoseMatches::Of(*by.pose, field, unit, flow_px);
@@ -148,29 +154,26 @@ void RollingSurvey::Impl::Keep(const Prepared& by, const StereoField& field, Rol
       internal::RigOfFrame(wheel.rig, pose.view, pose.observations, options.refinement, &frame);
   const StereoSurface surface = TriangulateField(rig, field, unit);
   const auto cov = CovarianceOf(surface.instant, unit);
-  const auto usable = [&](int r, int c) {
-    return surface.status(r, c) == Status::kOk && material(r, c).allFinite();
-  };
-  const int stride =
-      internal::StrideFor(static_cast<int>(material.pixel_count()), options.most_points);
-  grid = {(material.width() - 1) / stride + 1, (material.height() - 1) / stride + 1};
+  grid = field.left.size();
   first_px = field.left.first_px;
-  spacing_px = stride * field.left.step_px;
-  for (int r = 0; r < material.height(); r += stride) {
-    for (int c = 0; c < material.width(); c += stride) {
-      if (!usable(r, c)) continue;
+  spacing_px = field.left.step_px;
+  for (int r = 0; r < grid.height; ++r) {
+    for (int c = 0; c < grid.width; ++c) {
+      const int row = r * by.stride, column = c * by.stride;
+      const Eigen::Vector3d& undeformed = material(row, column);
+      if (surface.status(r, c) != Status::kOk || !undeformed.allFinite()) continue;
       const Eigen::Vector2d pixel = field.left.PixelOf(r, c);
       const Eigen::Vector2d left = pixel + field.left.displacement_px(r, c);
       frame.points.push_back({left,
                               pixel + field.right.displacement_px(r, c),
                               surface.instant.point_mm(r, c),
                               cov(r, c),
-                              material(r, c),
-                              {c / stride, r / stride},
-                              r * material.width() + c,
+                              undeformed,
+                              {c, r},
+                              row * material.width() + column,
                               flow_px(r, c),
                               internal::RightPixelAt(by.pair.right, left),
-                              by.material.cov_random_mm2(r, c)});
+                              by.material.cov_random_mm2(row, column)});
     }
   }
 }
@@ -245,7 +248,7 @@ bool RollingSurvey::Impl::Follow(double angle_rad, const GrayImage& left, const 
     by.sequence->Restart();
     const StereoField expected = Expect(supposed, by, angle_rad);
     const StereoField field = by.sequence->AddFrom(expected, left, right, frame.index);
-    Place(by, field, angle_rad, frame);
+    Place(by, internal::EveryMatch(field, by.stride), angle_rad, frame);
     const double share = internal::ShareFound(expected, field);
     if (frame.status == RollingFrameStatus::kPlaced && share >= kAsMany * found_share) {
       found_share = std::max(found_share, share);
@@ -270,7 +273,7 @@ void RollingSurvey::Impl::Search(double rough_rad, const GrayImage& left, const 
   Prepared& by = Prepare(frame.view);
   by.sequence->Restart();
   const StereoField field = by.sequence->Add(left, right, frame.index);
-  Place(by, field, rough_rad, frame);
+  Place(by, internal::EveryMatch(field, by.stride), rough_rad, frame);
   if (frame.status == RollingFrameStatus::kPlaced) {
     internal::SurfaceMemory supposed = memory;
     supposed.Take(frame, TimeOf(frame));
@@ -299,7 +302,7 @@ void RollingSurvey::Impl::FindAnew(const GrayImage& left, const GrayImage& right
   double rough_rad = frame.tag_place.angle_rad;
   const bool by_tags = frame.tag_place.found;
   if (!by_tags) {
-    const WheelPlace place = library.Find(left);
+    const WheelPlace place = library.value().Find(left);
     if (!place.found) {
       frame.problem = place.why;
       return;
@@ -317,15 +320,17 @@ void RollingSurvey::Impl::FindAnew(const GrayImage& left, const GrayImage& right
 }
 
 // What the matches say of where the wheel stands, if they agree.
-void RollingSurvey::Impl::Place(const Prepared& by, const StereoField& field, double rough_rad,
+void RollingSurvey::Impl::Place(const Prepared& by, StereoField matches, double rough_rad,
                                 RollingFrame& frame) {
-  Keep(by, field, frame);
+  frame.matches = std::move(matches);
+  frame.near_rad = rough_rad;
+  Keep(by, frame);
   if (frame.points.size() < static_cast<std::size_t>(options.least_points)) {
     frame.problem = fmt::format(
         "only {} points of the wheel's reference image are found in both images, and {} must be: "
         "too little of the surface is seen, or it is blurred",
         frame.points.size(), options.least_points);
-    frame.points.clear();
+    Forget(frame);
     return;
   }
   AddRow(frame, by, rough_rad);
@@ -351,6 +356,8 @@ void RollingSurvey::Impl::Forget(RollingFrame& frame) {
   frame.placed_by = PlacedBy::kNothing;
   frame.measured_angle_rad = RollingFrame::kNone;
   frame.points.clear();
+  frame.matches = {};
+  frame.near_rad = RollingFrame::kNone;
   frame.right_from_left.reset();
   frame.right_from_left_moved.clear();
   rows.ClearLast();
@@ -389,6 +396,24 @@ const RollingFrame& RollingSurvey::Add(std::int64_t index, double time_s, const 
   }
   if (frame.status == RollingFrameStatus::kPlaced) impl.memory.Take(frame, TimeOf(frame));
   impl.frames.push_back(std::move(frame));
+  return impl.frames.back();
+}
+
+const RollingFrame& RollingSurvey::AddMatched(RollingFrame told) {
+  Impl& impl = *impl_;
+  impl.rows.Push(static_cast<Eigen::Index>(impl.axes_along.size()));
+  if (!impl.wheel.tags.family.empty()) told.tag_place = PlaceByTags(impl.wheel, told.tags);
+  if (told.status == RollingFrameStatus::kPlaced) {
+    const bool known = told.view < impl.wheel.views.size();
+    const Impl::Prepared* const by = known ? &impl.Prepare(told.view) : nullptr;
+    if (!known || told.matches.left.size() != by->kept.left.size() ||
+        told.matches.left.first_px != by->kept.left.first_px ||
+        told.matches.left.step_px != by->kept.left.step_px) {
+      throw InputError("the matches are not those of this wheel and these options");
+    }
+    impl.Place(*by, std::move(told.matches), told.near_rad, told);
+  }
+  impl.frames.push_back(std::move(told));
   return impl.frames.back();
 }
 

@@ -26,6 +26,7 @@ namespace plumbline {
 // nearest.
 
 struct RollingSurveyOptions {
+  bool images = true;  // false: all frames come by RollingSurvey::AddMatched()
   WheelLibraryOptions library;
   // How frames are matched with reference images, at the points that may be kept alone (half a
   // subset apart at most). Subsets are small: the wide view and the deformation bend them.
@@ -108,6 +109,12 @@ struct RollingFrame {
   // standard deviation of its errors along each of their independent directions.
   std::optional<Rigid3> right_from_left;
   std::vector<Rigid3> right_from_left_moved;
+  // What all else of the frame follows from: the view's points in both images, on
+  // RollingWheel::grid, with the displacements as floats hold them and before a delay of the right
+  // camera is taken out; and the wheel's angle near which it was looked for. Of a frame that is
+  // placed.
+  StereoField matches;
+  double near_rad = kNone;
   std::vector<RollingPoint> points;
 
   static constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
@@ -147,7 +154,7 @@ struct RollingWheel {
 // left out; its angle is not guessed, though the smoother could. Tags on the rim tell the wheel's
 // own angle (HoldToRim).
 //
-// Memory: about 175 bytes a point kept and what the prepared views take.
+// Memory: about 275 bytes a point kept and what the prepared views take.
 // Calibration: along a mode the points of a frame, those of the reference image, the axis and the
 // view's angle all change; with the weights held all steps are linear.
 //
@@ -164,6 +171,11 @@ class RollingSurvey {
   // rig's size.
   const RollingFrame& Add(std::int64_t index, double time_s, const GrayImage& left,
                           const GrayImage& right);
+  // The next one without its images, from what an earlier survey with these options told of it:
+  // index, time, status, problem, tags, and of one that is placed view, placed_by, near_rad and
+  // matches. The rest follows, to the last bit as it did then. Throws InputError where view or
+  // matches are not those of this wheel and these options.
+  const RollingFrame& AddMatched(RollingFrame told);
   // One that could not be read.
   void AddUnreadable(std::int64_t index, double time_s, const std::string& problem);
 

@@ -2,11 +2,13 @@
 #include <spdlog/spdlog.h>
 
 #include <filesystem>
+#include <functional>
 
 #include "apps/internal/command.h"
 #include "apps/internal/measure_report.h"
 #include "apps/internal/planar_report.h"
 #include "apps/internal/result_file.h"
+#include "apps/internal/rolling_analysis.h"
 #include "apps/internal/series_neighbours.h"
 #include "apps/internal/stereo_options.h"
 #include "apps/internal/surface_records.h"
@@ -41,9 +43,11 @@ class AnalyseCommand : public Command {
   std::string Footer() const override {
     return "Example:\n"
            "  plumbline analyse run.h5 -o strain.h5 --strain-window 15 --strain-measure hencky\n"
-           "Of a run of one camera only the options of strain count.";
+           "Of a run of one camera only the options of strain count. Of a run of a rolling tyre "
+           "what is not given stays as it was measured, or analysed last.";
   }
   void Declare(OptionTable& options) override;
+  void Complete(OptionTable& options) override;
   CommandReport Run(const CommonOptions& common, const std::string& recipe_toml) override;
 
  private:
@@ -60,11 +64,19 @@ class AnalyseCommand : public Command {
                           const std::string& recipe_toml);
   CommandReport RunStereo(const SeriesReader& series, const CommonOptions& common,
                           const std::string& recipe_toml) const;
+  CommandReport RunRolling(const SeriesReader& series, const CommonOptions& common,
+                           const std::string& recipe_toml) const;
+  // Writes and reports all frames of the run, each as `again` tells it.
+  using Again = std::function<ReportedFrame(const SeriesFrame& before, std::int64_t position)>;
+  CommandReport WriteFrames(const SeriesReader& series, SeriesHeader header,
+                            const std::vector<std::string>& notes, const CommonOptions& common,
+                            const Again& again) const;
   fs::path Output() const;
 
   std::string file_, output_;
   bool overwrite_ = false;
   EvaluationOptionSet evaluation_;
+  RollingAnalysisOptionSet rolling_;
 };
 
 void AnalyseCommand::Declare(OptionTable& options) {
@@ -82,6 +94,21 @@ void AnalyseCommand::Declare(OptionTable& options) {
   options.Add({.name = "overwrite", .help = "replace the output file if it is there"}, &overwrite_);
   evaluation_.DeclareGround(options);
   evaluation_.Declare(options, StrainOptionSet::Of::kEither);
+  rolling_.Declare(options);
+}
+
+bool IsRolling(const SeriesReader& series) { return series.displacement_reference() == "wheel"; }
+
+void AnalyseCommand::Complete(OptionTable& options) {
+  const std::optional<std::string> path = options.Text("FILE");
+  if (!path) return;
+  try {
+    const ResultFile file = OpenResultFile(*path);
+    if (file.series && IsRolling(*file.series)) {
+      rolling_.Complete(file.series->facts().recipe_toml, options);
+    }
+  } catch (const InputError&) {  // Run() says it
+  }
 }
 
 CommandReport AnalyseCommand::Report(const fs::path& output, const PlanarSeriesHeader& header,
@@ -131,10 +158,22 @@ fs::path AnalyseCommand::Output() const {
   return output;
 }
 
+void CheckMatches(const SeriesReader& series, const std::string& file) {
+  if (series.contents().matches) return;
+  throw InputError(fmt::format(
+      "'{}' holds no matches to work on: it was measured with sgbm or with --no-matches; measure "
+      "with --matcher dic.",
+      file));
+}
+
 CommandReport AnalyseCommand::Run(const CommonOptions& common, const std::string& recipe_toml) {
   const ResultFile file = OpenResultFile(file_);
   if (file.planar) return RunPlanar(*file.planar, common, recipe_toml);
-  if (file.series) return RunStereo(*file.series, common, recipe_toml);
+  if (file.series) {
+    CheckMatches(*file.series, file_);
+    return IsRolling(*file.series) ? RunRolling(*file.series, common, recipe_toml)
+                                   : RunStereo(*file.series, common, recipe_toml);
+  }
   throw InputError(fmt::format("'{}' is a rig file; analyse works on runs.", file_));
 }
 
@@ -144,18 +183,6 @@ bool IsReference(const SeriesFrame& frame, const SeriesReader& series) {
 
 // The matches of the pair that displacements count from.
 ReferenceMatches ReferenceOf(const SeriesReader& series, const std::string& file) {
-  if (!series.contents().matches) {
-    throw InputError(fmt::format(
-        "'{}' holds no matches to work on: it was measured with sgbm or with --no-matches; measure "
-        "with --matcher dic.",
-        file));
-  }
-  if (series.displacement_reference() == "wheel") {
-    throw InputError(fmt::format(
-        "'{}' is of a tyre measured against its wheel, each frame with another reference image; "
-        "measure again with the other settings.",
-        file));
-  }
   if (std::optional<ReferenceMatches> reference = series.reference()) return std::move(*reference);
   // Older files hold them in that pair's own frame alone.
   for (std::int64_t i = 0; i < series.frame_count(); ++i) {
@@ -171,10 +198,32 @@ ReferenceMatches ReferenceOf(const SeriesReader& series, const std::string& file
       file, series.facts().software, series.displacement_reference()));
 }
 
+ReportedFrame EvaluateAgain(const SeriesFrame& before, const SeriesReader& series,
+                            const PlanarField& like, SurfaceEvaluation* evaluation) {
+  ReportedFrame now;
+  now.frame.problem = before.problem;
+  if (before.problem.empty()) {
+    now.frame = IsReference(before, series)
+                    ? evaluation->EvaluateReference(before.time_s)
+                    : evaluation->Evaluate(FieldOf(before.match, before.surface.status, like),
+                                           before.time_s);
+    if (now.frame.problem.empty()) now.frame.surface.correlation = before.surface.correlation;
+  }
+  now.frame.index = before.index;
+  now.frame.time_s = before.time_s;
+  now.frame.left_id = before.left_id;
+  now.frame.right_id = before.right_id;
+  now.frame.dropped_before = before.dropped_before;
+  now.motion = evaluation->Summarise(now.frame);
+  now.summary.grid_points = now.motion->grid_points;
+  now.summary.valid_points = now.motion->valid_points;
+  return now;
+}
+
 CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const CommonOptions& common,
                                         const std::string& recipe_toml) const {
   const SurfaceEvaluationOptions options = evaluation_.Options(common.seed);
-  const fs::path output = Output();
+  Output();  // before work starts: whether there is a place for it
   const ReferenceMatches reference = ReferenceOf(series, file_);
   const SeriesNeighbours neighbours = NeighboursOf(series, reference.left_id);
   const Image<Eigen::Vector2f> grid = series.grid_px();
@@ -192,7 +241,39 @@ CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const Common
   header.inputs = {fs::path(file_)};
   header.inputs.insert(header.inputs.end(), neighbours.files.begin(), neighbours.files.end());
 
+  std::vector<std::string> notes;
+  if (!neighbours.note.empty()) notes.push_back(neighbours.note);
   const InterruptGuard guard;
+  return WriteFrames(series, std::move(header), notes, common,
+                     [&](const SeriesFrame& before, std::int64_t) {
+                       return EvaluateAgain(before, series, like, &evaluation);
+                     });
+}
+
+CommandReport AnalyseCommand::RunRolling(const SeriesReader& series, const CommonOptions& common,
+                                         const std::string& recipe_toml) const {
+  Output();
+  const InterruptGuard guard;
+  std::optional<RollingAnalysis> analysis =
+      AnalyseRolling(series, file_, evaluation_, rolling_, common);
+  if (!analysis) {
+    spdlog::error("Stopped before the first frame was finished; nothing was written.");
+    return {"", {{"interrupted", true}}, 130};
+  }
+  SeriesHeader& header = analysis->header;
+  header.recipe_toml = JoinRecipes(series.facts().recipe_toml, recipe_toml);
+  header.inputs.insert(header.inputs.begin(), fs::path(file_));
+  RollingRun& run = *analysis->run;
+  return WriteFrames(series, std::move(header), analysis->notes, common,
+                     [&](const SeriesFrame& before, std::int64_t position) {
+                       return Reported(run.MeasureAgain(before, position));
+                     });
+}
+
+CommandReport AnalyseCommand::WriteFrames(const SeriesReader& series, SeriesHeader header,
+                                          const std::vector<std::string>& notes,
+                                          const CommonOptions& common, const Again& again) const {
+  const fs::path output = Output();
   SeriesWriter writer(output, header);
   MeasureReport report(output, series.frame_count(), series.rig().modes.count() > 0);
   Progress progress("analysing", series.frame_count(), common.progress());
@@ -201,24 +282,7 @@ CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const Common
       report.SetInterrupted(kStopped, true);
       break;
     }
-    const SeriesFrame before = series.Frame(i);
-    ReportedFrame now;
-    now.frame.problem = before.problem;
-    if (before.problem.empty()) {
-      now.frame = IsReference(before, series)
-                      ? evaluation.EvaluateReference(before.time_s)
-                      : evaluation.Evaluate(FieldOf(before.match, before.surface.status, like),
-                                            before.time_s);
-      if (now.frame.problem.empty()) now.frame.surface.correlation = before.surface.correlation;
-    }
-    now.frame.index = before.index;
-    now.frame.time_s = before.time_s;
-    now.frame.left_id = before.left_id;
-    now.frame.right_id = before.right_id;
-    now.frame.dropped_before = before.dropped_before;
-    now.motion = evaluation.Summarise(now.frame);
-    now.summary.grid_points = now.motion->grid_points;
-    now.summary.valid_points = now.motion->valid_points;
+    const ReportedFrame now = again(series.Frame(i), i);
     writer.Commit(now.frame);
     report.Add(now);
     progress.Advance();
@@ -229,10 +293,8 @@ CommandReport AnalyseCommand::RunStereo(const SeriesReader& series, const Common
   }
   writer.Close();
   CommandReport result = report.Make();
-  if (!neighbours.note.empty()) {
-    result.text += "Note: " + neighbours.note + "\n";
-    result.json["notes"] = {neighbours.note};
-  }
+  for (const std::string& note : notes) result.text += "Note: " + note + "\n";
+  if (!notes.empty()) result.json["notes"] = notes;
   return result;
 }
 

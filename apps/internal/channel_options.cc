@@ -1,5 +1,7 @@
 #include "apps/internal/channel_options.h"
 
+#include <limits>
+
 #include "calib/error.h"
 #include "io/channel_table.h"
 
@@ -35,11 +37,22 @@ std::vector<Channel> ChannelOptionSet::Read() const {
     return {};
   }
   std::vector<Channel> channels = ReadChannelTable(file_);
-  for (Channel& channel : channels) {
-    if (clock_offset_s_) channel.clock_offset_s = *clock_offset_s_;
-    if (sigma_clock_offset_s_) channel.sigma_clock_offset_s = *sigma_clock_offset_s_;
-  }
+  SetClock(&channels);
   return channels;
+}
+
+std::vector<Channel> ChannelOptionSet::ReadOr(std::vector<Channel> of_run) const {
+  if (!file_.empty() || of_run.empty()) return Read();
+  SetClock(&of_run);
+  return of_run;
+}
+
+void ChannelOptionSet::SetClock(std::vector<Channel>* channels) const {
+  constexpr double kUnknown = std::numeric_limits<double>::quiet_NaN();
+  for (Channel& channel : *channels) {
+    channel.clock_offset_s = clock_offset_s_.value_or(kUnknown);
+    channel.sigma_clock_offset_s = sigma_clock_offset_s_.value_or(kUnknown);
+  }
 }
 
 }  // namespace plumbline::internal

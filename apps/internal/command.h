@@ -40,6 +40,9 @@ class Command {
   virtual std::string Footer() const { return {}; }
   virtual void Declare(OptionTable& options) = 0;
 
+  // Once command line and recipe are read, before values are converted: for what else tells them.
+  virtual void Complete(OptionTable& /*options*/) {}
+
   // `recipe_toml`: all options of this run, defaults filled in.
   virtual CommandReport Run(const CommonOptions& common, const std::string& recipe_toml) = 0;
 };

@@ -181,7 +181,10 @@ class ExportCommand : public Command {
   CommandReport ExportBumpTable(const SeriesReader& series) const {
     const fs::path file = TableFile();
     std::string carcass = carcass_;
-    if (carcass.empty()) carcass = RecipeText(series.facts().recipe_toml, "measure", "carcass");
+    // As it was analysed last.
+    for (const char* command : {"analyse", "measure"}) {
+      if (carcass.empty()) carcass = RecipeText(series.facts().recipe_toml, command, "carcass");
+    }
     const std::vector<FrameBumps> frames =
         FindBumpsOf(series, ParseCarcass(carcass.empty() ? "0" : carcass, 0), bump_);
     ExportBumps(file, frames);

@@ -71,15 +71,6 @@ class SizeGuard {
   bool under_way_ = false;
 };
 
-ReportedFrame Reported(StereoRunFrame measured) {
-  FrameSummary summary;
-  summary.grid_points = measured.summary.grid_points;
-  summary.valid_points = measured.summary.valid_points;
-  summary.plane_distance_mm = measured.summary.plane_distance_mm;
-  return {std::move(measured.frame), summary, measured.summary,
-          measured.match_s + measured.evaluate_s};
-}
-
 class MeasureCommand : public Command {
  public:
   std::string Name() const override { return "measure"; }

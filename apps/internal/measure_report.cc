@@ -53,6 +53,15 @@ ImageSize ParseImageSize(const std::string& text) {
   return size;
 }
 
+ReportedFrame Reported(StereoRunFrame measured) {
+  FrameSummary summary;
+  summary.grid_points = measured.summary.grid_points;
+  summary.valid_points = measured.summary.valid_points;
+  summary.plane_distance_mm = measured.summary.plane_distance_mm;
+  return {std::move(measured.frame), summary, measured.summary,
+          measured.match_s + measured.evaluate_s};
+}
+
 std::string AlarmText(std::int64_t frame, const RigWatchRecord& watch) {
   return fmt::format(
       "Frame {}: the cameras have moved against each other (turned by {:.3f} deg, {:.2f} mm; "

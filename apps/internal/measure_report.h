@@ -9,6 +9,7 @@
 #include "apps/internal/command.h"
 #include "apps/internal/rolling_report.h"
 #include "apps/pipeline.h"
+#include "apps/stereo_run.h"
 #include "apps/surface_evaluation.h"
 #include "calib/image.h"
 
@@ -24,6 +25,8 @@ struct ReportedFrame {
   std::optional<SurfaceSummary> motion;  // of stereo-DIC
   double seconds = 0;                    // that it took
 };
+
+ReportedFrame Reported(StereoRunFrame measured);
 
 // "Frame 7: the cameras have moved ...".
 std::string AlarmText(std::int64_t frame, const RigWatchRecord& watch);

@@ -260,6 +260,49 @@ void OptionTable::ReadRecipe(const std::filesystem::path& recipe) {
   }
 }
 
+std::optional<std::string> OptionTable::Text(const std::string& name) const {
+  if (const auto given = Given(name)) return given;
+  for (const Entry& entry : entries_) {
+    if (entry.spec.name == name) return entry.text;
+  }
+  return std::nullopt;
+}
+
+bool OptionTable::ReadStored(const std::string& recipe_toml, const std::string& table,
+                             const std::vector<std::string>& without) {
+  toml::table document;
+  try {
+    document = toml::parse(recipe_toml);
+  } catch (const toml::parse_error&) {
+    return false;
+  }
+  const toml::table* const stored = document[table].as_table();
+  if (stored == nullptr) return false;
+  for (Entry& entry : entries_) {
+    const toml::node* const node = stored->get(entry.spec.name);
+    const bool left_out =
+        std::find(without.begin(), without.end(), entry.spec.name) != without.end();
+    if (node == nullptr || entry.text || entry.option->count() > 0 || !entry.spec.in_recipe ||
+        left_out) {
+      continue;
+    }
+    entry.origin = fmt::format("{} of the run's recipe", entry.spec.name);
+    if (IsList(entry.target)) {
+      entry.list = TomlList(*node, entry.origin);
+      entry.text = entry.list.empty() ? "" : entry.list.front();
+    } else {
+      entry.text = TomlText(*node, entry.origin);
+    }
+  }
+  return true;
+}
+
+void OptionTable::Set(const std::string& name, const std::string& text) {
+  for (Entry& entry : entries_) {
+    if (entry.spec.name == name) entry.text = text;
+  }
+}
+
 void OptionTable::Finish() {
   for (Entry& entry : entries_) {
     if (entry.option->count() > 0) {

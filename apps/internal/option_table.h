@@ -55,6 +55,18 @@ class OptionTable {
   // know.
   void ReadRecipe(const std::filesystem::path& recipe);
 
+  // What the command line or the recipe gives for an option, as text.
+  std::optional<std::string> Text(const std::string& name) const;
+
+  // Takes from a table of a recipe that a run has stored what neither the command line nor a recipe
+  // gives; options that this command does not know, and those of `without`, are passed over. A
+  // recipe that is no TOML, or lacks the table, gives nothing. False: that was so.
+  bool ReadStored(const std::string& recipe_toml, const std::string& table,
+                  const std::vector<std::string>& without = {});
+
+  // In place of all that was given.
+  void Set(const std::string& name, const std::string& text);
+
   // Converts and stores all values. Throws UsageError naming the option, its value and what would
   // be right, or what is missing.
   void Finish();

@@ -7,12 +7,8 @@
 
 namespace plumbline::internal {
 
-void RollingOptionSet::Declare(OptionTable& options) {
-  options.Add({.name = "reference",
-               .help = "the undeformed wheel (plumbline reference): a loaded, rolling tyre is "
-                       "measured against it, with its wheel angle; the rig is that of the file",
-               .unit = "FILE"},
-              &file_);
+void RollingOptionSet::Declare(OptionTable& options, const std::string& help) {
+  options.Add({.name = "reference", .help = help, .unit = "FILE"}, &file_);
   options.Add({.name = "wheel-jerk",
                .help = "how fast the wheel's acceleration may change, as the density of white "
                        "noise, for the smoothing of its angle; auto: from the recording",
@@ -22,11 +18,11 @@ void RollingOptionSet::Declare(OptionTable& options) {
               &jerk_rad_s25_);
 }
 
-WheelReference RollingOptionSet::Wheel() const {
-  WheelReference wheel = ReadWheelFile(file_);
+WheelReference RollingOptionSet::WheelOf(const std::string& file) {
+  WheelReference wheel = ReadWheelFile(file);
   if (wheel.views.empty()) {
     throw InputError(fmt::format(
-        "'{}' holds no reference images: make it again with plumbline reference.", file_));
+        "'{}' holds no reference images: make it again with plumbline reference.", file));
   }
   return wheel;
 }

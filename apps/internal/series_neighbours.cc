@@ -4,14 +4,13 @@
 #include <toml++/toml.h>
 
 #include <cmath>
-#include <nlohmann/json.hpp>
 #include <optional>
 #include <utility>
 
 #include "apps/internal/field_options.h"
+#include "apps/internal/recorded_input.h"
 #include "apps/region.h"
 #include "calib/error.h"
-#include "io/file_hash.h"
 #include "io/image_sequence.h"
 #include "io/image_source.h"
 #include "match/correlate_field.h"
@@ -20,31 +19,6 @@ namespace plumbline::internal {
 namespace fs = std::filesystem;
 
 namespace {
-
-// The recorded input of this file name, if the file is still the same; else nothing and why.
-std::optional<fs::path> UnchangedInput(const std::string& inputs_json, const std::string& name,
-                                       std::string* why) {
-  *why = fmt::format("'{}' is not among the recorded inputs", name);
-  const auto inputs = nlohmann::json::parse(inputs_json, nullptr, false);
-  if (!inputs.is_array()) return std::nullopt;
-  for (const auto& input : inputs) {
-    if (!input.is_object()) continue;
-    const auto text = [&](const char* key) {
-      return input.contains(key) && input[key].is_string() ? input[key].get<std::string>() : "";
-    };
-    const fs::path path = text("path");
-    if (path.filename() != fs::path(name).filename()) continue;
-    if (!fs::is_regular_file(path)) {
-      *why = fmt::format("'{}' is not there any more", path.string());
-    } else if (text("sha256").empty() || FileSha256(path) != text("sha256")) {
-      *why = fmt::format("'{}' is not the file that was read then", path.string());
-    } else {
-      return path;
-    }
-    break;  // others of that name are other files
-  }
-  return std::nullopt;
-}
 
 // The grid that a run correlated, how, and in which pixels.
 struct Recorded {

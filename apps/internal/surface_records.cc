@@ -48,9 +48,12 @@ Surface SurfaceRecordOf(const StereoSurface& surface, const SurfaceState& instan
 MatchField MatchRecordOf(const StereoField& field) {
   MatchField record;
   const ImageSize size = field.left.size();
+  // Of points that both images were matched at.
   const auto displacements = [&](const PlanarField& match) {
-    Image<Eigen::Vector2f> out(size, Eigen::Vector2f::Zero());
+    Image<Eigen::Vector2f> out(size, Eigen::Vector2f::Constant(kNone));
     for (std::size_t i = 0; i < out.pixel_count(); ++i) {
+      if (field.left.status.data()[i] != Status::kOk) continue;
+      if (field.right.status.data()[i] != Status::kOk) continue;
       out.data()[i] = match.displacement_px.data()[i].cast<float>();
     }
     return out;
@@ -68,19 +71,26 @@ MatchField MatchRecordOf(const StereoField& field) {
 
 StereoField FieldOf(const MatchField& record, const Image<Status>& status,
                     const PlanarField& like) {
+  Image<Status> matched = status;
+  for (std::size_t i = 0; i < matched.pixel_count(); ++i) {
+    if (record.left_displacement_px.data()[i].allFinite() &&
+        record.right_displacement_px.data()[i].allFinite()) {
+      matched.data()[i] = Status::kOk;
+    }
+  }
   const auto match = [&](const Image<Eigen::Vector2f>& displacement,
                          const Image<Eigen::Matrix2f>& gradient, const Image<Eigen::Vector3f>& cov,
                          const Image<float>& share) {
     PlanarField field(status.size(), like.first_px, like.step_px);
     field.subset_px = like.subset_px;
     field.order = like.order;
+    field.status = matched;
     for (std::size_t i = 0; i < status.pixel_count(); ++i) {
       field.displacement_px.data()[i] = displacement.data()[i].cast<double>();
     }
     field.gradient = gradient;
     field.cov_displacement_px2 = cov;
     field.reference_share = share;
-    field.status = status;
     return field;
   };
   StereoField field;

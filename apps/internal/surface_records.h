@@ -23,7 +23,8 @@ StrainField StrainRecordOf(AdaptiveStrain adaptive);
 DisplacementField AtRest(const Image<Status>& status);
 void ForgetNoise(StrainField& strain);
 
-// The matches again; the grid as of `like`, whose other images are not looked at.
+// The matches again, kOk where there are any, else as `status` has it; the grid as of `like`, whose
+// other images are not looked at.
 StereoField FieldOf(const MatchField& record, const Image<Status>& status, const PlanarField& like);
 
 }  // namespace plumbline::internal

@@ -105,6 +105,7 @@ std::vector<Wanted> WantedInSeries(hid_t file) {
       if (count > 1) wanted.back().dimensions.push_back(std::to_string(count));
     }
   }
+  if (contents.survey) wanted.push_back({kSurveyTags, {"frames"}});
   if (contents.patch) {
     wanted.push_back({"/patch/contour_first", {"frames"}});
     wanted.push_back({"/patch/contour_count", {"frames"}});
@@ -313,7 +314,7 @@ void CheckSeriesGroups(hid_t file, LayoutCheck* check) {
   CheckNexusGroups(file, {"/frames", "/grid", "/surface", "/ground"},
                    {"/displacement", "/strain", "/wheel", "/patch", "/slip", "/match", "/velocity",
                     "/rigid_motion", "/rig_watch", "/rig_rotation", "/deformation",
-                    "/wheel_channel", "/placement", "/reference"},
+                    "/wheel_channel", "/placement", "/survey", "/reference"},
                    check);
   for (const PointGroupFacts& group : StereoPoints().groups) {
     if (!group.in_surface_frame) continue;
@@ -329,6 +330,7 @@ void CheckSeriesGroups(hid_t file, LayoutCheck* check) {
     check->Try([&] { check->Attributes("/displacement", {"rigid_motion_removed"}); });
   }
   check->Try([&] { check->Attributes("/slip", {"convention"}); });
+  check->Try([&] { check->Attributes("/survey", {"frames"}); });
   check->Try([&] { check->AttributeText("/grid", "points", IsGridPoints); });
   check->Try([&] { check->AttributeText("/displacement", "reference", IsDisplacementReference); });
 }

@@ -115,10 +115,11 @@ SeriesShape SeriesShape::For(ImageSize grid, std::uint32_t content_bits, const P
 }
 
 std::vector<std::size_t> FieldsOf(const PointLayout& layout, const SeriesShape& shape,
-                                  const PointSource& source) {
+                                  const PointSource& source, bool has_surface) {
   std::vector<std::size_t> fields;
   for (std::size_t i = 0; i < layout.fields.size(); ++i) {
     const PointField& field = layout.fields[i];
+    if (!has_surface && !layout.groups[field.group].in_any_frame) continue;
     if (!Holds(shape.content_bits, field.needs) ||
         source.SizeOf(layout.FieldOf(field.group, PointPart::kValue)) == ImageSize{}) {
       continue;

@@ -77,6 +77,10 @@ struct PointGroupFacts {
   // It has a status of its own, and its vectors are numbers exactly where that is ok. Else it goes
   // by the status of the group before it, and its vectors may be missing where that is ok.
   bool has_status;
+  // Its vectors are where they are, whatever any status says.
+  bool free = false;
+  // A frame without a surface may hold them too.
+  bool in_any_frame = false;
 };
 
 // A dataset that holds one value or vector a point.
@@ -148,10 +152,10 @@ class PointSource {
                       std::uint8_t* to) const = 0;
 };
 
-// Places in layout.fields of what a frame holds. Throws std::invalid_argument where that is not of
-// the grid's size.
+// Places in layout.fields of what a frame holds; without a surface, of the groups that may be in
+// any frame. Throws std::invalid_argument where that is not of the grid's size.
 std::vector<std::size_t> FieldsOf(const PointLayout& layout, const SeriesShape& shape,
-                                  const PointSource& source);
+                                  const PointSource& source, bool has_surface = true);
 
 // A compressed HDF5 chunk (shuffle, deflate level 1), ready to be copied into the file.
 struct PointChunk {

@@ -38,6 +38,10 @@ void WriteGroupAttributes(hid_t file, const SeriesHeader& header) {
     const Id group = hdf5::CreateGroup(file, "/slip");
     hdf5::SetText(group.get(), "convention", header.slip_convention);
   }
+  if (header.contents.survey) {
+    const Id group = hdf5::CreateGroup(file, "/survey");
+    hdf5::SetInteger(group.get(), "frames", header.surveyed_frames);
+  }
   if (header.right_delay) {
     const Id group = hdf5::CreateGroup(file, "/wheel");
     hdf5::SetNumber(group.get(), "right_delay_s", header.right_delay->value_s);

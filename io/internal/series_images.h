@@ -112,6 +112,8 @@ void VisitImage(Frame& frame, const PointField& field, const Visit& visit) {
     }
     case kMatch:
       return VisitMatch(frame.match, field.part, visit);
+    case kSurvey:
+      return VisitMatch(frame.survey.match, field.part, visit);
     case kMaterial:
       if (field.part == PointPart::kValue) visit(frame.material.position_mm);
       return;

@@ -25,15 +25,17 @@ constexpr std::uint32_t kAlways = 0, kWithCovariance = BitOf(&SeriesContents::co
                         kMoving = BitOf(&SeriesContents::velocity),
                         kMatched = BitOf(&SeriesContents::matches),
                         kOfMaterial = BitOf(&SeriesContents::material),
-                        kOfWindows = BitOf(&SeriesContents::strain_windows);
+                        kOfWindows = BitOf(&SeriesContents::strain_windows),
+                        kSurveyed = BitOf(&SeriesContents::survey);
 
 constexpr std::array<PointGroupFacts, kPointGroupCount> kGroups = {{
     {"/surface", "position", "position", kAlways, true, true},
     {"/displacement", "value", "displacement", kMoved, true, false},
     {"/slip", "velocity", "velocity", kSlipped, true, false},
     {"/velocity", "value", "velocity", kMoving, true, false},
-    {"/match", "left_displacement", "match", kMatched, false, false},
+    {"/match", "left_displacement", "match", kMatched, false, false, true},
     {"/material", "position", "place on the undeformed wheel", kOfMaterial, false, false},
+    {"/survey", "left_displacement", "match of the survey", kSurveyed, false, false, true, true},
     {"/strain", "value", "strain", kStrained, false, true},
 }};
 
@@ -110,6 +112,22 @@ constexpr std::array kFields = {
       "share of right_covariance that comes from the noise of the reference image", kMatched},
     F{kMaterial, Part::kValue, "/material/position", &kXyz, "mm",
       "place of the point on the undeformed wheel, in the wheel frame", kOfMaterial},
+    F{kSurvey, Part::kValue, "/survey/left_displacement", &kXy, "pixel",
+      "pixel in the left image, less that of the grid, as the survey matched it", kSurveyed},
+    F{kSurvey, Part::kRightValue, "/survey/right_displacement", &kXy, "pixel",
+      "pixel in the right image, less that of the grid, before its delay is taken out", kSurveyed},
+    F{kSurvey, Part::kGradient, "/survey/left_gradient", &kGradient, "1",
+      "gradient of left_displacement along x and y of the reference image", kSurveyed},
+    F{kSurvey, Part::kRightGradient, "/survey/right_gradient", &kGradient, "1",
+      "gradient of right_displacement along x and y of the reference image", kSurveyed},
+    F{kSurvey, Part::kCovariance, "/survey/left_covariance", &kUvTensor, "pixel2",
+      "random covariance of left_displacement: uu, uv, vv", kSurveyed},
+    F{kSurvey, Part::kRightCovariance, "/survey/right_covariance", &kUvTensor, "pixel2",
+      "random covariance of right_displacement: uu, uv, vv", kSurveyed},
+    F{kSurvey, Part::kShare, "/survey/left_share", &kOneNumber, "1",
+      "share of left_covariance that comes from the noise of the reference image", kSurveyed},
+    F{kSurvey, Part::kRightShare, "/survey/right_share", &kOneNumber, "1",
+      "share of right_covariance that comes from the noise of the reference image", kSurveyed},
     Renamed({kStrain, Part::kValue, "/strain/value", &kPlaneTensor, "1",
              "strain in the local axes of the surface, of the group's measure: xx, yy, xy (tensor "
              "shear)",
@@ -285,8 +303,8 @@ class StereoSource : public PointSource {
     if (field.part == Part::kCorrelation || field.part == Part::kEpipolar) return there;
     VisitImage(frame_, FieldOf(field.group, Part::kValue), [&](const auto& vectors) {
       for (std::size_t i = first; i < last; ++i) {
-        there[i - first] =
-            StatusAt(field.group, i) == Status::kOk && Numbers(vectors.data()[i]).allFinite();
+        there[i - first] = (kGroups[field.group].free || StatusAt(field.group, i) == Status::kOk) &&
+                           Numbers(vectors.data()[i]).allFinite();
       }
     });
     return there;
@@ -351,8 +369,7 @@ SeriesShape StereoShape(ImageSize grid, const SeriesContents& contents) {
 std::vector<std::uint8_t> EncodeFrame(const SeriesFrame& frame, const SeriesShape& shape) {
   const bool has_surface = frame.problem.empty() && !frame.surface.position_mm.empty();
   const StereoSource source(frame);
-  const auto fields =
-      has_surface ? FieldsOf(StereoPoints(), shape, source) : std::vector<std::size_t>{};
+  const std::vector<std::size_t> fields = FieldsOf(StereoPoints(), shape, source, has_surface);
   const auto contents = FromBits<SeriesContents>(shape.content_bits);
   ByteWriter out;
   out.Put(frame.index);
@@ -366,6 +383,7 @@ std::vector<std::uint8_t> EncodeFrame(const SeriesFrame& frame, const SeriesShap
     if (Holds(contents, group.needs)) PutRecord(out, group, frame);
   }
   if (contents.patch) PutContour(out, frame.patch.contour_mm);
+  if (contents.survey) out.Put(frame.survey.tags);
   out.Put(static_cast<std::uint8_t>(has_surface));
   PutChunks(out, StereoPoints(), shape, fields, source);
   return std::move(out.bytes());
@@ -388,6 +406,7 @@ FrameRecord<SeriesFrame> DecodeFrame(std::span<const std::uint8_t> bytes,
     if (Holds(contents, group.needs)) GetRecord(in, group, &frame);
   }
   if (contents.patch) frame.patch.contour_mm = GetContour(in);
+  if (contents.survey) frame.survey.tags = in.GetText();
   record.has_points = in.Get<std::uint8_t>() != 0;
   record.chunks = GetChunks(in, StereoPoints(), shape);
   return record;

@@ -16,7 +16,7 @@ namespace plumbline::internal {
 using ContentFlag = bool SeriesContents::*;
 template <>
 struct OptionalContents<SeriesContents> {
-  static constexpr std::array<OptionalContent<SeriesContents>, 16> list = {{
+  static constexpr std::array<OptionalContent<SeriesContents>, 17> list = {{
       {"covariance", "/surface/covariance", &SeriesContents::covariance},
       {"displacement", "/displacement", &SeriesContents::displacement},
       {"strain", "/strain", &SeriesContents::strain},
@@ -33,6 +33,7 @@ struct OptionalContents<SeriesContents> {
       {"strain_windows", "/strain/window_points", &SeriesContents::strain_windows},
       {"wheel_channel", "/wheel_channel", &SeriesContents::wheel_channel},
       {"placement", "/placement", &SeriesContents::placement},
+      {"survey", "/survey", &SeriesContents::survey},
   }};
 };
 
@@ -49,11 +50,15 @@ enum PointGroup : std::uint8_t {
   kVelocity,
   kMatch,
   kMaterial,
+  kSurvey,
   kStrain,
   kPointGroupCount
 };
 
-// Of points: /surface, /displacement, /slip, /velocity, /match, /material, /strain.
+// What a frame shows of tags: a text.
+inline constexpr const char* kSurveyTags = "/survey/tags";
+
+// Of points: /surface, /displacement, /slip, /velocity, /match, /material, /survey, /strain.
 const PointLayout& StereoPoints();
 
 SeriesShape StereoShape(ImageSize grid, const SeriesContents& contents);

@@ -270,6 +270,7 @@ RecordGroup RigRotationGroup() {
                     {},
                     {},
                     {}};
+  group.may_lack = true;  // a height, on an obstacle
   GroupBuilder<R> add(std::move(group), &SeriesFrame::rig_rotation);
   add.Measured({"pitch_rad", "rad",
                 "turn about the wheel's axis from the wheel frame's z to the ground's normal"},
@@ -344,6 +345,24 @@ RecordGroup PlacementGroup() {
   add.Measured(
       {"twist_rad", "rad", "how far the surface is turned ahead of the rim, of the whole run"},
       &P::twist_rad, &P::sigma_random_twist_rad, &P::sigma_calibration_twist_rad);
+  return add.Take();
+}
+
+RecordGroup SurveyGroup() {
+  using S = SurveyRecord;
+  RecordGroup group{"/survey", "place on the wheel", "", &SeriesContents::survey, {}, {}, {}, {},
+                    {}};
+  GroupBuilder<S> add(std::move(group), &SeriesFrame::survey);
+  add.Stored(
+         {"view", "1", "view of the wheel's reference, from 0, that the frame was matched with"},
+         &S::view)
+      .needed = true;
+  add.Stored({"near_rad", "rad", "angle of the wheel near which the frame was looked for"},
+             &S::near_rad)
+      .needed = true;
+  add.Stored({"spacing_px", "pixel", "distance between points, in the view's left image"},
+             &S::spacing_px)
+      .needed = true;
   return add.Take();
 }
 
@@ -442,9 +461,9 @@ RecordGroup WheelChannelGroup() {
 
 const std::vector<RecordGroup>& RecordGroups() {
   static const std::vector<RecordGroup> groups = {
-      GroundGroup(),       WheelGroup(),    PatchGroup(),       SlipGroup(),
-      RigidMotionGroup(),  RigWatchGroup(), RigRotationGroup(), DeformationGroup(),
-      WheelChannelGroup(), PlacementGroup()};
+      GroundGroup(),       WheelGroup(),     PatchGroup(),       SlipGroup(),
+      RigidMotionGroup(),  RigWatchGroup(),  RigRotationGroup(), DeformationGroup(),
+      WheelChannelGroup(), PlacementGroup(), SurveyGroup()};
   return groups;
 }
 

@@ -44,10 +44,11 @@ struct RecordGroup {
   std::function<std::string(const SeriesFrame&)> problem;
   std::function<void(bool found, std::string problem, SeriesFrame*)> set_found;
   bool in_surface_frame = false;  // its vectors are along the axes of Surface::frame
+  bool may_lack = false;          // one that was found may say what of it was not
 };
 
 // /ground, /wheel, /patch (without its contour), the numbers of /slip, /rigid_motion, /rig_watch,
-// /rig_rotation, /deformation, /wheel_channel, /placement.
+// /rig_rotation, /deformation, /wheel_channel, /placement, those of /survey.
 const std::vector<RecordGroup>& RecordGroups();
 
 }  // namespace plumbline::internal

@@ -133,6 +133,10 @@ class StereoPacker : public FramePacker {
   void Finish() override {
     WriteFrameTables(file_, contents_, frames_, has_surface_);
     if (contours_) contours_->Finish();
+    if (contents_.survey) {
+      WriteTextColumn(file_, kSurveyTags, "tags that the frame shows, as JSON; empty: none",
+                      Column<std::string>(frames_, [](const auto& f) { return f.survey.tags; }));
+    }
     WriteFrameOfPositions(
         file_, Column<std::uint8_t>(frames_, [](const auto& f) { return f.surface.frame; }),
         has_surface_);

@@ -136,10 +136,10 @@ Found Look(const float* value, std::size_t components) {
 }
 
 // The points of one frame: numbers and what is expected of each point have to say the same, both
-// ways. denied_by: what does not expect a value.
+// ways. because: what expects a value; denied_by: what does not.
 void CheckPoints(const std::vector<float>& values, const std::vector<std::uint8_t>& expected,
-                 const OpenField& field, const std::string& denied_by, hsize_t frame,
-                 Findings* findings) {
+                 const OpenField& field, const std::string& because, const std::string& denied_by,
+                 hsize_t frame, Findings* findings) {
   const std::size_t components = values.size() / expected.size();
   std::int64_t count = 0, missing = 0, surplus = 0, infinite = 0;
   for (std::size_t i = 0; i < expected.size(); ++i) {
@@ -155,8 +155,8 @@ void CheckPoints(const std::vector<float>& values, const std::vector<std::uint8_
   }
   if (missing > 0 && (field.needed == Needed::kEverywhere ||
                       (field.needed == Needed::kSomewhere && missing == count))) {
-    findings->push_back(fmt::format("frame {}: {} points have the status ok and no {}", frame,
-                                    missing, field.what));
+    findings->push_back(
+        fmt::format("frame {}: {} points have {} and no {}", frame, missing, because, field.what));
   } else if (infinite > 0) {
     findings->push_back(
         fmt::format("frame {}: {} points have a {} that is infinite or lacks a component", frame,
@@ -175,12 +175,13 @@ void CheckGroup(const OpenGroup& group, std::vector<std::uint8_t> expected, hsiz
                 Findings* findings) {
   for (const OpenField& field : group.fields) {
     const auto values = hdf5::ReadSlab<float>(field.dataset, frame, kMaxFrameElements);
-    const bool is_vector = field.field->part == PointPart::kValue;
+    const bool is_vector = field.field->part == PointPart::kValue, is_free = group.facts->free;
     const std::string what(group.facts->what);
-    CheckPoints(values, expected, field,
+    const std::size_t components = values.size() / expected.size();
+    if (is_free && is_vector) std::fill(expected.begin(), expected.end(), std::uint8_t{1});
+    CheckPoints(values, expected, field, is_free ? "a " + what : "the status ok",
                 group.has_status || is_vector ? "status" : "missing " + what, frame, findings);
     if (group.has_status || !is_vector) continue;
-    const std::size_t components = values.size() / expected.size();
     for (std::size_t i = 0; i < expected.size(); ++i) {
       if (Look(values.data() + i * components, components) == Found::kNothing) expected[i] = 0;
     }
@@ -341,6 +342,7 @@ Findings CheckValues(hid_t file) {
     for (const RecordGroup& group : RecordGroups()) {
       if (!is_there(group.path + "/status") || !is_there(group.path + "/problem")) continue;
       attempt([&] { CheckRecords(file, group, shape[0], &findings); });
+      if (group.may_lack) continue;
       attempt([&] { CheckProblems(file, group.path, group.what, shape[0], &findings); });
     }
     attempt([&] { CheckContours(file, shape[0], &findings); });

@@ -74,6 +74,32 @@ TEST(OptionTable, KeepsDefaultsAndTakesWhatIsGiven) {
   EXPECT_FALSE(example.low.has_value());
 }
 
+TEST(OptionTable, ARunsRecipeGivesWhatNobodySays) {
+  const std::string stored =
+      "[try]\nstep = 2\nlength = 3\nflag = true\nlow = 4\nkind = \"two\"\nof_old = 1\n";
+  Example example;
+  std::vector<std::string> arguments = {"7", "--step"};
+  example.app.parse(std::move(arguments));
+  example.table.ReadRecipe(WriteRecipe("[try]\nlength = 5\n"));
+  EXPECT_FALSE(example.table.ReadStored("no [ TOML", "try"));
+  EXPECT_FALSE(example.table.ReadStored(stored, "other"));
+  EXPECT_TRUE(example.table.ReadStored(stored, "try", {"flag"}));
+  EXPECT_EQ(example.table.Text("step"), "7");
+  EXPECT_EQ(example.table.Text("low"), "4");
+  EXPECT_EQ(example.table.Text("high"), std::nullopt);
+  example.table.Set("low", "-1");
+  example.table.Finish();
+  EXPECT_EQ(example.step, 7);      // on the command line
+  EXPECT_EQ(example.length, 5);    // in a recipe
+  EXPECT_EQ(example.kind, "two");  // in that of the run
+  EXPECT_FALSE(example.flag);
+  EXPECT_EQ(example.low, -1);
+  Example wrong;
+  wrong.table.ReadStored("[try]\nstep = 99\n", "try");
+  EXPECT_THAT(MessageOf<UsageError>([&] { wrong.table.Finish(); }),
+              HasSubstr("step of the run's recipe takes"));
+}
+
 TEST(OptionTable, RecipeGivesWhatTheCommandLineLeavesOut) {
   Example example;
   example.Parse({"--step", "7"}, WriteRecipe("[try]\nstep = 2\nlength = 3\nflag = true\nlow = -4\n"

@@ -41,10 +41,10 @@ inline void ExpectSameGround(const GroundRecord& a, const GroundRecord& b) {
   EXPECT_EQ(a.normal_in_rig, b.normal_in_rig);
   EXPECT_EQ(a.offset_mm, b.offset_mm);
   EXPECT_EQ(a.cov_random, b.cov_random);
-  EXPECT_EQ(a.cov_calibration, b.cov_calibration);
+  ExpectSame(a.cov_calibration, b.cov_calibration);
   EXPECT_EQ(a.ground_from_rig.Matrix(), b.ground_from_rig.Matrix());
-  EXPECT_EQ(a.rms_mm, b.rms_mm);
-  EXPECT_EQ(a.inlier_fraction, b.inlier_fraction);
+  ExpectSame(a.rms_mm, b.rms_mm);
+  ExpectSame(a.inlier_fraction, b.inlier_fraction);
   EXPECT_EQ(a.e1_in_rig, b.e1_in_rig);
   EXPECT_EQ(a.e2_in_rig, b.e2_in_rig);
   EXPECT_EQ(a.centroid_in_rig_mm, b.centroid_in_rig_mm);
@@ -215,6 +215,17 @@ inline void ExpectSameMatch(const MatchField& a, const MatchField& b) {
   ExpectSamePoints(a.right_reference_share, b.right_reference_share);
 }
 
+inline void ExpectSameSurvey(const SurveyRecord& a, const SurveyRecord& b) {
+  EXPECT_EQ(a.found, b.found);
+  EXPECT_EQ(a.problem, b.problem);
+  EXPECT_EQ(a.tags, b.tags);
+  for (const auto member :
+       {&SurveyRecord::view, &SurveyRecord::near_rad, &SurveyRecord::spacing_px}) {
+    ExpectSame(a.*member, b.*member);
+  }
+  ExpectSameMatch(a.match, b.match);
+}
+
 // That b is what a reads back as: points without a value are NaN in all.
 inline void ExpectSameFrame(const SeriesFrame& a, const SeriesFrame& b) {
   EXPECT_EQ(a.index, b.index);
@@ -255,6 +266,7 @@ inline void ExpectSameFrame(const SeriesFrame& a, const SeriesFrame& b) {
   ExpectSameRigWatch(a.rig_watch, b.rig_watch);
   ExpectSameRigRotation(a.rig_rotation, b.rig_rotation);
   ExpectSameDeformation(a.deformation, b.deformation);
+  ExpectSameSurvey(a.survey, b.survey);
   EXPECT_EQ(a.wheel_channel.found, b.wheel_channel.found);
   EXPECT_EQ(a.wheel_channel.problem, b.wheel_channel.problem);
   ExpectSame(a.wheel_channel.lean, b.wheel_channel.lean);

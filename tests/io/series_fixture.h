@@ -84,11 +84,12 @@ inline SeriesFrame SmallFrame(std::int64_t i, ImageSize grid = {7, 5}) {
 // A header with every optional group.
 inline SeriesHeader FullHeader(ImageSize grid = {7, 5}) {
   SeriesHeader header = SmallHeader(grid);
-  header.contents = {true, true, true, true, true, true, true, true,
+  header.contents = {true, true, true, true, true, true, true, true, true,
                      true, true, true, true, true, true, true, true};
   header.grid_points = "material";
   header.displacement_reference = "frame 10";
   header.rigid_motion_removed = true;
+  header.surveyed_frames = 5;
   header.vsg_px = 27;
   header.vsg_mm = 5.5;
   header.channels = {
@@ -250,6 +251,7 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
     rotation.sigma_calibration_roll_rad = 12e-4;
     rotation.sigma_random_height_mm = 0.03;
     rotation.sigma_calibration_height_mm = 0.04;
+    if (i == 2) rotation.problem = "how high it is nobody knows";
   }
   frame.wheel_channel.found = i != 1;
   if (frame.wheel_channel.found) {
@@ -269,6 +271,21 @@ inline SeriesFrame FullFrame(std::int64_t i, ImageSize grid = {7, 5}) {
     placement.twist_rad = -0.008;
     placement.sigma_random_twist_rad = 3e-4;
     placement.sigma_calibration_twist_rad = 4e-4;
+  }
+  SurveyRecord& survey = frame.survey;
+  survey.found = i != 1;
+  survey.tags = i == 2 ? "" : R"({"tags":[],"twice":[3]})";
+  if (survey.found) {
+    survey.view = t;
+    survey.near_rad = 0.1 * t;
+    survey.spacing_px = 8;
+    survey.match = m;  // also where the surface has no point
+    survey.match.left_displacement_px.data()[3] = survey.match.right_displacement_px.data()[3] =
+        Eigen::Vector2f(1.5F, -2.5F);
+    survey.match.left_cov_px2.data()[3] = survey.match.right_cov_px2.data()[3] =
+        Eigen::Vector3f(1e-4F, 2e-5F, 3e-4F);
+  } else {
+    survey.problem = "it is blurred";
   }
   DeformationRecord& deformation = frame.deformation;
   deformation.found = true;

@@ -309,13 +309,13 @@ TEST(SeriesGroups, AreNamedInTheSummary) {
       Inspect(file).Text(),
       HasSubstr("also holds: covariance, displacement, strain, patch, slip, matches, velocity, "
                 "rigid_motion, rig_watch, rig_rotation, deformation, material, strain_windows, "
-                "wheel_channel, placement, channels (Fz, empty)\n"));
+                "wheel_channel, placement, survey, channels (Fz, empty)\n"));
   Write(TestFolder() / "plain.h5", SmallHeader(), {SmallFrame(0)});
   EXPECT_THAT(Inspect(TestFolder() / "plain.h5").Text(), ::testing::Not(HasSubstr("also")));
   EXPECT_THAT(Names(header.contents),
               ElementsAre("covariance", "displacement", "strain", "patch", "slip", "matches",
                           "velocity", "rigid_motion", "rig_watch", "rig_rotation", "deformation",
-                          "material", "strain_windows", "wheel_channel", "placement"));
+                          "material", "strain_windows", "wheel_channel", "placement", "survey"));
 }
 
 TEST(PrincipalStrain, IsThatOfMohrsCircle) {

@@ -8,11 +8,30 @@
 #include <utility>
 
 #include "calib/error.h"
+#include "track/stored_matches.h"
 
 namespace plumbline::internal {
 namespace {
 
 constexpr double kTurn_rad = 2 * std::numbers::pi;
+
+PlanarField EveryMatchOf(const PlanarField& field, const PlanarField& other, int stride) {
+  PlanarField out;
+  out.first_px = field.first_px;
+  out.step_px = stride * field.step_px;
+  out.subset_px = field.subset_px;
+  out.order = field.order;
+  out.displacement_px = EveryOf(field.displacement_px, stride);
+  out.gradient = EveryOf(field.gradient, stride);
+  out.cov_displacement_px2 = EveryOf(field.cov_displacement_px2, stride);
+  out.reference_share = EveryOf(field.reference_share, stride);
+  out.status = EveryOf(field.status, stride);
+  const Image<Status> beside = EveryOf(other.status, stride);
+  for (std::size_t i = 0; i < out.status.pixel_count(); ++i) {
+    if (beside.data()[i] != Status::kOk) out.status.data()[i] = beside.data()[i];
+  }
+  return out;
+}
 
 }  // namespace
 
@@ -43,6 +62,14 @@ int StrideFor(int points, int most) {
   int stride = 1;
   while (points > most * stride * stride) ++stride;
   return stride;
+}
+
+StereoField EveryMatch(const StereoField& field, int stride) {
+  StereoField out;
+  out.left = EveryMatchOf(field.left, field.right, stride);
+  out.right = EveryMatchOf(field.right, field.left, stride);
+  RoundAsStored(&out);
+  return out;
 }
 
 RollingSurveyOptions Coarser(RollingSurveyOptions options, ImageSize image) {

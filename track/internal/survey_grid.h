@@ -2,6 +2,8 @@
 
 #include <cstddef>
 
+#include "calib/image.h"
+#include "match/stereo_sequence.h"
 #include "track/rolling_survey.h"
 #include "track/wheel_reference.h"
 
@@ -15,6 +17,21 @@ std::size_t NearestView(const WheelReference& wheel, double angle_rad);
 
 // So many of the points of a grid, along rows and columns, that at most `most` are left.
 int StrideFor(int points, int most);
+
+// Every `stride`-th value along rows and columns, from the first one on.
+template <typename T>
+Image<T> EveryOf(const Image<T>& image, int stride) {
+  if (image.empty()) return {};
+  Image<T> out({(image.width() - 1) / stride + 1, (image.height() - 1) / stride + 1},
+               image.values().front());
+  for (int r = 0; r < out.height(); ++r) {
+    for (int c = 0; c < out.width(); ++c) out(r, c) = image(r * stride, c * stride);
+  }
+  return out;
+}
+
+// The points of every `stride`-th row and column, where both images were matched, RoundAsStored().
+StereoField EveryMatch(const StereoField& field, int stride);
 
 // Only points that may be kept are matched, as far as they are near enough, half a subset, for
 // neighbours to lead to each other.
