@@ -84,6 +84,7 @@ class ContactOfRun {
   Image<std::uint8_t> InContact(const FramePoints& points, const RollingContactFrame& frame) const;
   void Deform(std::size_t f, const FrameOverGround& now, RollingContactFrame* out) const;
   void Slip(std::size_t f, FrameTriple frames, RollingContact* contact) const;
+  void MoveToEnd(std::size_t first, std::size_t f, std::size_t last, RollingContact* contact) const;
   bool Placed(std::size_t f) const {
     return rolling_.frames[f].status == RollingFrameStatus::kPlaced;
   }
@@ -273,6 +274,14 @@ void ContactOfRun::Deform(std::size_t f, const FrameOverGround& now,
   out->deformation = MeasureDeformation(wheel, neighbours_, options_.deformation);
 }
 
+// Of the frames from `first` to `last`, with it.
+std::vector<RigRotationFrame> PosesOf(std::size_t first, std::size_t last,
+                                      const RollingContact& contact) {
+  std::vector<RigRotationFrame> poses;
+  for (std::size_t k = first; k <= last; ++k) poses.push_back(contact.frames[k].rotation);
+  return poses;
+}
+
 void ContactOfRun::Slip(std::size_t f, FrameTriple frames, RollingContact* contact) const {
   RollingContactFrame* out = &contact->frames[f];
   if (!clock_) {
@@ -285,8 +294,7 @@ void ContactOfRun::Slip(std::size_t f, FrameTriple frames, RollingContact* conta
   }
   const std::size_t first = frames.before != nullptr ? f - 1 : f;
   const std::size_t last = frames.after != nullptr ? f + 1 : f;
-  std::vector<RigRotationFrame> grounds;
-  for (std::size_t k = first; k <= last; ++k) grounds.push_back(contact->frames[k].rotation);
+  const std::vector<RigRotationFrame> grounds = PosesOf(first, last, *contact);
   const Eigen::MatrixXd root = RandomRoot(grounds);
   for (std::size_t k = 0; k < grounds.size(); ++k) {
     frames.ground_errors[first + k + 1 - f] = GroundJacobian(grounds[k].pose, reference_.axis) *
@@ -321,13 +329,21 @@ void ContactOfRun::Slip(std::size_t f, FrameTriple frames, RollingContact* conta
   }
   out->slip = MeasureSlip(velocity, frames, wheel, frames.now->contact, neighbours_,
                           options_.free_rolling_radius_mm, channel, options_.slip);
-  // From one neighbour alone the velocity is that of half-way to it, where the wheel turned faster
-  // or slower in the same proportion.
-  const internal::SpeedRatio since = internal::SpeedSince(rolling_, first, f, last);
-  MeasuredScalar& speed = out->slip.speed_mm_s;
-  speed.value *= since.value;
-  speed.sigma_random = std::hypot(speed.sigma_random, speed.value * since.sigma);
-  out->slip.velocity_mm_s *= since.value;
+  if (first == f || last == f) MoveToEnd(first, f, last, contact);
+}
+
+// From one neighbour alone the velocity is that of half-way to it.
+void ContactOfRun::MoveToEnd(std::size_t first, std::size_t f, std::size_t last,
+                             RollingContact* contact) const {
+  const std::size_t from = last == f && first > 0 ? first - 1 : first;
+  const std::size_t to = first == f && last + 1 < contact->frames.size() ? last + 1 : last;
+  const internal::SpeedRatio then =
+      internal::SpeedAtEnd(rolling_, first, f, last, PosesOf(from, to, *contact));
+  RollingSlip& slip = contact->frames[f].slip;
+  slip.speed_mm_s.value *= then.value;
+  slip.speed_mm_s.sigma_random =
+      std::hypot(slip.speed_mm_s.sigma_random, slip.speed_mm_s.value * then.sigma);
+  slip.velocity_mm_s *= then.value;
 }
 
 RollingContact ContactOfRun::Find() {

@@ -1,6 +1,7 @@
 #pragma once
 
 #include <cstddef>
+#include <span>
 
 #include "fit/surface_points.h"
 #include "track/rig_rotation.h"
@@ -17,11 +18,14 @@ namespace plumbline::internal {
                                                const RigRotationFrame& from,
                                                const RigRotationFrame& to);
 
-// The speed of the wheel in frame f over its mean from first to last, as the rig sees it.
+// The speed of the wheel over the ground in frame f over its mean from frame `first` to `last`, f
+// being one of them: it changes as the speed that the rig sees, less the rate at which the ground
+// turns in the rig: the slope at f of the parabola through the poses.
+// poses: of f, its neighbour and the frame behind that, in order of time; or without the last one.
 struct SpeedRatio {
   double value = 1, sigma = 0;  // random
 };
-[[nodiscard]] SpeedRatio SpeedSince(const RollingWheel& wheel, std::size_t first, std::size_t f,
-                                    std::size_t last);
+[[nodiscard]] SpeedRatio SpeedAtEnd(const RollingWheel& wheel, std::size_t first, std::size_t f,
+                                    std::size_t last, std::span<const RigRotationFrame> poses);
 
 }  // namespace plumbline::internal
