@@ -17,15 +17,18 @@ namespace {
 
 using Terms = LiftOffLine::Terms;
 constexpr int kTerms = LiftOffLine::kTerms;
-constexpr double kLength_mm = 100;
 constexpr int kRounds = 6, kSteps = 40;
 constexpr double kStart_mm = 0.3;  // gap at which points tell where to begin
-constexpr double kStartK = 0.005, kStartM = -0.1;
+constexpr double kStartK = 0.005, kStartM = -0.15;
+
+// The place of n, which is held: what the matches make of the gap's first hundredths would tell it
+// wrong.
+constexpr Eigen::Index kNext = 2;
 
 // A frame's own unknowns: a0..a4, and (where the thickness is not known) the plane by which its
-// ground is off, at the first three terms of the basis. In common: log k, m, what is to be added to
-// each entry of the thickness.
-constexpr int kPlane = 3, kOwn = kTerms + kPlane, kLaw = 2;
+// ground is off, at the first three terms of the basis. In common: log k, m, n, what is to be added
+// to each entry of the thickness.
+constexpr int kPlane = 3, kOwn = kTerms + kPlane, kLaw = LiftOffLaw::kParameters;
 using Own = Eigen::Matrix<double, kOwn, 1>;
 using OwnNormal = Eigen::Matrix<double, kOwn, kOwn>;
 
@@ -64,7 +67,7 @@ struct Normal {
 // How the gap by the law goes with the unknowns.
 struct Row {
   Own own = Own::Zero();
-  Eigen::Vector2d law = Eigen::Vector2d::Zero();
+  LiftOffLaw::Parameters law = LiftOffLaw::Parameters::Zero();
   std::array<double, 4> thickness{};
 
   void AddTo(const Point& point, double residual, Normal* n) const {
@@ -86,14 +89,15 @@ struct Row {
 };
 
 Terms BasisAt(const Eigen::Vector2d& at_mm, const Eigen::Vector2d& middle_mm) {
-  const Eigen::Vector2d p = (at_mm - middle_mm) / kLength_mm;
+  const Eigen::Vector2d p = (at_mm - middle_mm) / LiftOffLine::kLength_mm;
   Terms basis;
   basis << 1, p.x(), p.y(), p.x() * p.x() - p.y() * p.y(), p.x() * p.y();
   return basis;
 }
 
 double GapOf(double q, const LiftOffLaw& law, int power) {
-  return q <= 0 ? 0 : std::exp(law.log_k) * std::pow(q, power) * (1 + law.m * q);
+  const double mq = law.m * q;
+  return q <= 0 ? 0 : std::exp(law.log_k) * std::pow(q, power) * (1 + mq * (1 + law.n * mq));
 }
 
 // The gap over the thickness as it was said, and its derivatives.
@@ -106,8 +110,11 @@ double GapAt(const Point& point, const Own& own, const Common& common, int power
   if (q > 0) {
     gap = GapOf(q, law, power);
     const double k = std::exp(law.log_k), below = std::pow(q, power - 1);
-    slope = k * below * (power + (power + 1) * law.m * q);
-    if (row != nullptr) row->law << gap, k * below * q * q;
+    const double mq = law.m * q;
+    slope = k * below * (power + mq * (power + 1 + (power + 2) * law.n * mq));
+    if (row != nullptr) {
+      row->law << gap, k * below * q * q * (1 + 2 * law.n * mq), k * below * q * mq * mq;
+    }
   }
   if (row != nullptr) row->own.head<kTerms>() = -slope * point.basis;
   if (common.added_mm.size() == 0) return gap;
@@ -284,6 +291,10 @@ class Adjustment {
       reduced -= normal.cross.transpose() * inverse[f] * normal.cross;
       right += normal.right - normal.cross.transpose() * (inverse[f] * normal.own_right);
     }
+    reduced.row(kNext).setZero();
+    reduced.col(kNext).setZero();
+    reduced(kNext, kNext) = 1;
+    right[kNext] = 0;
     if (weight_ > 0) {
       const Eigen::Index entries = size_ - kLaw;
       information->bottomRightCorner(entries, entries).diagonal().array() += weight_;
@@ -333,6 +344,20 @@ class Adjustment {
   double weight_ = 0;
 };
 
+// Of what is in common, n being held at a value with a sigma of its own, which moves the others.
+Eigen::MatrixXd CovarianceOf(Eigen::MatrixXd information, double variance, double sigma_n) {
+  const Eigen::VectorXd by_n = information.col(kNext);
+  information.row(kNext).setZero();
+  information.col(kNext).setZero();
+  information(kNext, kNext) = 1;
+  Eigen::MatrixXd inverse =
+      information.ldlt().solve(Eigen::MatrixXd::Identity(by_n.size(), by_n.size()));
+  inverse(kNext, kNext) = 0;
+  Eigen::VectorXd along = -inverse * by_n;
+  along[kNext] = 1;
+  return variance * inverse + sigma_n * sigma_n * along * along.transpose();
+}
+
 std::nullopt_t No(std::string* why, std::string reason) {
   if (why != nullptr) *why = std::move(reason);
   return std::nullopt;
@@ -342,9 +367,12 @@ std::nullopt_t No(std::string* why, std::string reason) {
 
 void LiftOffOptions::Check() const {
   if (power < 2 || power > 6) throw UsageError("A gap begins with a power of 2 to 6.");
-  if (!(largest_gap_mm > 0) || !(inside_mm > 0) || !(max_scatter_mm > 0) || least_points < 10) {
+  if (!(largest_gap_mm > 0) || !(inside_mm > 0) || !(sigma_next_term >= 0) ||
+      !(max_scatter_mm > 0) || least_points < 10) {
     throw UsageError(
-        "The gap, rim and scatter of the law of lift-off must be positive, its points 10 or more.");
+        "The gap, rim and scatter of the law of lift-off must be positive, the sigma of its next "
+        "term "
+        "0 or more, its points 10 or more.");
   }
 }
 
@@ -363,7 +391,7 @@ LawAndThickness FitLawAndThickness(std::span<const LiftOffFrame> frames, double 
                                    double correlation_area_points, const ThicknessPrior* prior,
                                    const LiftOffOptions& options) {
   options.Check();
-  Common common{{std::log(kStartK), kStartM, Eigen::Matrix2d::Zero()}, {}};
+  Common common{{std::log(kStartK), kStartM, options.next_term}, {}};
   if (prior != nullptr) common.added_mm.setZero(prior->expected_mm.size());
   std::vector<Boundary> boundaries;
   for (const LiftOffFrame& frame : frames) {
@@ -387,13 +415,13 @@ LawAndThickness FitLawAndThickness(std::span<const LiftOffFrame> frames, double 
         fmt::format("Only {} points are near where the tyre leaves the ground.", points));
   }
   LawAndThickness found{common.law, common.added_mm, {}, {}};
-  const Eigen::Matrix2d of_law = information.topLeftCorner<kLaw, kLaw>().inverse();
-  found.law.cov = variance * of_law;
+  const Eigen::MatrixXd cov = CovarianceOf(information, variance, options.sigma_next_term);
+  found.law.cov = cov.topLeftCorner<kLaw, kLaw>();
   if (prior == nullptr) return found;
-  found.d_law_d_thickness = -of_law * information.topRightCorner(kLaw, entries);
-  const Eigen::MatrixXd all =
-      information.ldlt().solve(Eigen::MatrixXd::Identity(kLaw + entries, kLaw + entries));
-  found.cov_mm2 = variance * all.bottomRightCorner(entries, entries);
+  found.cov_mm2 = cov.bottomRightCorner(entries, entries);
+  const Eigen::MatrixXd cross = cov.topRightCorner(kLaw, entries);
+  found.d_law_d_thickness = found.cov_mm2.ldlt().solve(cross.transpose()).transpose();
+  found.law.cov -= found.d_law_d_thickness * cross.transpose();
   return found;
 }
 

@@ -21,11 +21,14 @@ namespace plumbline {
 // what? Of the depth d by which the undeformed tyre, in the same place and at the same angle, lies
 // above the ground (negative: would reach into it): that tells how hard the ground presses, and is
 // known without noise from the wheel's reference. So, with q = d - d0(x, y),
-//   g = 0 where q <= 0,   g = k q^power (1 + m q) where q > 0,
+//   g = 0 where q <= 0,   g = k q^power (1 + m q + n m^2 q^2) where q > 0,
 //   d0 = a0 + a1 x + a2 y + a3 (x^2 - y^2) + a4 x y,   x, y from the patch's middle, in 100 mm,
-// by least squares over the points near the boundary of all frames together. k and m belong to the
-// tyre and are common to the frames; a0..a4, d at the boundary and how it changes round the patch,
-// are the frame's own. Contact is where q <= 0.
+// by least squares over the points near the boundary of all frames together. k and m belong to
+// the tyre and are common to the frames; a0..a4, d at the boundary and how it changes round the
+// patch, are the frame's own. n is held: it says how a gap that begins so goes over into a slope,
+// 0.28 for the ramp x^4 (2.5 - 3 x + x^2), and points cannot tell it, because what subsets smooth
+// of the gap's first hundredths of a millimetre looks like another n. Its sigma counts with the
+// law's. Contact is where q <= 0.
 //
 // Not for patches over obstacles, where a carcass leaves the ground before the obstacle by another
 // law: the scatter of the gap about the law tells.
@@ -33,7 +36,9 @@ struct LiftOffOptions {
   // 4: no line forces, as above. 3: a bending belt on rigid ground (a line force at the boundary);
   // 2: a membrane. The result depends on it.
   int power = 4;
-  double largest_gap_mm = 1;    // up to which the law is fitted
+  // Up to which the law is fitted: more, and subsets matter less, the law's further terms more.
+  double largest_gap_mm = 2;
+  double next_term = 0.28, sigma_next_term = 0.01;  // n
   double inside_mm = 3;         // depth (along d) of the rim of the contact that is fitted too
   double least_d_mm = -40;      // deeper undeformed tyre is not looked at
   int least_points = 60;        // a frame
@@ -52,18 +57,23 @@ struct LiftOffFrame {
 };
 
 struct LiftOffLaw {
-  double log_k = 0, m = 0;                        // k in mm^(1 - power), m in 1 / mm
-  Eigen::Matrix2d cov = Eigen::Matrix2d::Zero();  // random, in this order
+  static constexpr int kParameters = 3;
+  using Parameters = Eigen::Matrix<double, kParameters, 1>;
+  using Covariance = Eigen::Matrix<double, kParameters, kParameters>;
+  double log_k = 0, m = 0, n = 0.28;    // k in mm^(1 - power), m in 1 / mm
+  Covariance cov = Covariance::Zero();  // random, in this order
 };
 
 // The boundary in one frame.
 struct LiftOffLine {
   static constexpr int kTerms = 5;
+  static constexpr double kLength_mm = 100;  // that x and y are counted in
   using Terms = Eigen::Matrix<double, kTerms, 1>;
   Eigen::Vector2d middle_mm{0, 0};
   Terms a = Terms::Zero();
   Eigen::Matrix<double, kTerms, kTerms> cov = Eigen::Matrix<double, kTerms, kTerms>::Zero();
-  Eigen::Matrix<double, kTerms, 2> d_a_d_law = Eigen::Matrix<double, kTerms, 2>::Zero();
+  using ByLaw = Eigen::Matrix<double, kTerms, LiftOffLaw::kParameters>;
+  ByLaw d_a_d_law = ByLaw::Zero();
   double scatter_mm = 0;  // of the gap about the law
   int points = 0;
 };
@@ -91,7 +101,7 @@ struct LawAndThickness {
   LiftOffLaw law;                     // its cov: with this thickness exactly
   Eigen::VectorXd added_mm;           // to each entry
   Eigen::MatrixXd cov_mm2;            // of that, the law being free
-  Eigen::MatrixXd d_law_d_thickness;  // log k, m by entry: of the law that fits best
+  Eigen::MatrixXd d_law_d_thickness;  // log k, m, n by entry: of the law that fits best
 };
 
 // The law together with the carcass's thickness, which what touches the ground tells: the gap is 0

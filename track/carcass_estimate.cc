@@ -161,6 +161,11 @@ CarcassThickness EstimateCarcass(std::span<const PatchFrame> frames, const Wheel
     if (why != nullptr) *why = error.what();
     return carcass;
   }
+  ground.SetCarcass(found);
+  if (!ground.Holds(fitted.law, options)) {
+    if (why != nullptr) *why = "the law of lift-off holds in no frame with a map of these places";
+    return carcass;
+  }
   found.modes_mm = Eigen::LLT<Eigen::MatrixXd>(fitted.cov_mm2).matrixL();
   return found;
 }

@@ -5,6 +5,7 @@
 #include <cmath>
 #include <functional>
 #include <limits>
+#include <numbers>
 #include <stdexcept>
 
 #include "calib/error.h"
@@ -21,19 +22,21 @@ using internal::InGround;
 // The law, and how it goes along each of the carcass's modes, behind those of the calibration.
 struct LawOfRun {
   LiftOffLaw law;
-  std::vector<Eigen::Vector2d> along_carcass = {};
+  std::vector<LiftOffLaw::Parameters> along_carcass = {};
 
-  LiftOffLaw Along(const Eigen::Vector2d& change) const {
+  LiftOffLaw Along(const LiftOffLaw::Parameters& change) const {
     LiftOffLaw there = law;
     there.log_k += change[0];
     there.m += change[1];
+    there.n += change[2];
     return there;
   }
 };
 
 // A way to a patch: its results, from a frame as it lies in a ground frame and what a mode does to
 // the law. Nothing where there is none.
-using Way = std::function<std::optional<Results>(const InGround&, const Eigen::Vector2d& of_law)>;
+using Way =
+    std::function<std::optional<Results>(const InGround&, const LiftOffLaw::Parameters& of_law)>;
 
 // What errors that are common to all points of a frame do to its results: another way of looking at
 // the same frame, less `results`. NaN where that has no patch.
@@ -63,7 +66,7 @@ class CommonErrors {
 
   // The calibration's, along each mode points, ground and thickness together, and along those of
   // the carcass the law.
-  Results Calibration(std::span<const Eigen::Vector2d> law_along_carcass) const {
+  Results Calibration(std::span<const LiftOffLaw::Parameters> law_along_carcass) const {
     Results variance = Results::Zero();
     const std::size_t modes = frame_.along_modes_mm.size();
     const std::size_t others = modes - law_along_carcass.size();
@@ -77,13 +80,13 @@ class CommonErrors {
   }
 
  private:
-  Results SquareOf(const InGround& there, const Eigen::Vector2d& of_law = kNoChange) const {
+  Results SquareOf(const InGround& there, const LiftOffLaw::Parameters& of_law = kNoChange) const {
     const std::optional<Results> results = way_(there, of_law);
     if (!results) return Results::Constant(std::numeric_limits<double>::quiet_NaN());
     return (*results - results_).cwiseAbs2();
   }
 
-  inline static const Eigen::Vector2d kNoChange = Eigen::Vector2d::Zero();
+  inline static const LiftOffLaw::Parameters kNoChange = LiftOffLaw::Parameters::Zero();
   const PatchFrame& frame_;
   const WheelAxis& axis_;
   const Results& results_;
@@ -125,12 +128,13 @@ class PatchOfFrame {
       J.col(k) = (larger->results() - smaller->results()) / (2 * kStep_mm);
     }
     const auto by_law = (J * line->d_a_d_law).eval();
-    const Results of_law = (by_law * law.cov * by_law.transpose()).diagonal();
+    const Results of_law = (by_law * law.cov * by_law.transpose()).diagonal() +
+                           LeftOut(J.col(0), J.col(kEllipse), patch->area_mm2);
     record->by = FramePatch::By::kLiftOff;
     record->sigma_law = RootOf(of_law);
     AddCommon(
         (J * line->cov * J.transpose()).diagonal() + of_law,
-        [&](const InGround& there, const Eigen::Vector2d& change) -> std::optional<Results> {
+        [&](const InGround& there, const LiftOffLaw::Parameters& change) -> std::optional<Results> {
           const auto again = Line(there, of_run.Along(change));
           // A law that is held may not bear the error of a thickness: not counted.
           if (!again) return patch->results();
@@ -148,7 +152,7 @@ class PatchOfFrame {
     record->sigma_law.setZero();
     AddCommon(
         OfPoints(record->patch, neighbours),
-        [&](const InGround& there, const Eigen::Vector2d&) {
+        [&](const InGround& there, const LiftOffLaw::Parameters&) {
           return ResultsOf(WithinThreshold(there));
         },
         {}, record);
@@ -159,6 +163,16 @@ class PatchOfFrame {
   }
 
  private:
+  static constexpr int kEllipse = 3;  // the place of x^2 - y^2 among the terms
+
+  // What the law leaves out, as an error of the depth at which the tyre leaves the ground: all
+  // round, and along against across, where the boundary is about a circle. d results by the two.
+  Results LeftOut(const Results& by_all, const Results& by_ellipse, double area_mm2) const {
+    const double round = area_mm2 / std::numbers::pi / std::pow(LiftOffLine::kLength_mm, 2);
+    return std::pow(options_.sigma_depth_mm, 2) * by_all.cwiseAbs2() +
+           std::pow(options_.sigma_ellipse_mm / round, 2) * by_ellipse.cwiseAbs2();
+  }
+
   static std::optional<Results> ResultsOf(const std::optional<ContactPatch>& patch) {
     if (!patch) return std::nullopt;
     return patch->results();
@@ -176,7 +190,8 @@ class PatchOfFrame {
   }
 
   void AddCommon(const Results& variance, const Way& way,
-                 std::span<const Eigen::Vector2d> law_along_carcass, FramePatch* record) const {
+                 std::span<const LiftOffLaw::Parameters> law_along_carcass,
+                 FramePatch* record) const {
     const Results results = record->patch.results();
     const CommonErrors common(frame_, axis_, results, way);
     record->sigma_random = RootOf(variance + common.Random());
@@ -244,7 +259,7 @@ class PatchOfFrame {
 LawOfRun LawByThickness(const LawAndThickness& fitted, const CarcassThickness& carcass) {
   LawOfRun of_run{fitted.law};
   const auto change = [&](const Eigen::VectorXd& added_mm) {
-    return Eigen::Vector2d(fitted.d_law_d_thickness * added_mm);
+    return LiftOffLaw::Parameters(fitted.d_law_d_thickness * added_mm);
   };
   of_run.law = of_run.Along(change(-fitted.added_mm));
   for (int k = 0; k < carcass.mode_count(); ++k) {
@@ -261,9 +276,10 @@ std::optional<LawOfRun> LawOf(std::span<const PatchFrame> frames, const WheelAxi
   if (options.carcass.uncertain_map()) {
     try {
       const ThicknessPrior prior = PriorOf(options.carcass);
-      return LawByThickness(
-          FitLawAndThickness(ground.ForLiftOff(), options.sigma_mm, area, &prior, options.lift_off),
-          options.carcass);
+      const LawAndThickness fitted =
+          FitLawAndThickness(ground.ForLiftOff(), options.sigma_mm, area, &prior, options.lift_off);
+      const LawOfRun of_run = LawByThickness(fitted, options.carcass);
+      if (ground.Holds(of_run.law, options)) return of_run;
     } catch (const InputError&) {
       // No frame tells the thickness; it is held.
     }
@@ -280,59 +296,17 @@ std::optional<LawOfRun> LawOf(std::span<const PatchFrame> frames, const WheelAxi
 // flat ground: there the one is three quarters of the other.
 bool Holds(FramePatch* record) {
   constexpr double kLeastShare = 0.55;
-  if (!record->within_threshold ||
-      record->patch.area_mm2 > kLeastShare * record->within_threshold->area_mm2) {
-    return true;
+  if (!record->within_threshold) return true;
+  const double share = record->patch.area_mm2 / record->within_threshold->area_mm2;
+  if (share > 1) {
+    record->problem =
+        "the law of lift-off does not hold: by it more touches than lies within the threshold";
+    return false;
   }
+  if (share > kLeastShare) return true;
   record->problem =
       "the law of lift-off does not hold: by it little touches of what lies within the threshold";
   return false;
-}
-
-// How large what the law leaves out may be, before anything is measured: as large as on the virtual
-// tyre at most (docs/theory.md).
-Results LikelyModelErrors(const Results& results) {
-  Results likely;
-  likely << 0.008 * results[0], 0.0035 * results[1], 0.0035 * results[2],
-      0.0005 * results[1] * Eigen::Vector2d::Ones(), 0.0035 * results[5];
-  return likely;
-}
-
-// What the law leaves out: its next term. That takes errors in proportion to the square of the
-// distance in the law up to which it is fitted, the fourth root of the gap squared: fitted up to
-// half the gap, results are nearer to the truth by 1 - sqrt(1/2) of their error. In the mean over
-// the frames, for single ones are noisy; and where the noise of the two laws (of which the one has
-// less than the other's points) hides it, as much of what is likely as is not known better.
-void AddModelErrors(std::span<const PatchFrame> frames, const WheelAxis& axis,
-                    PatchSeriesOptions options, PatchSeries* series) {
-  options.lift_off.largest_gap_mm /= 2;
-  const double nearer = 1 - std::sqrt(0.5);
-  std::string why;
-  const std::optional<LawOfRun> law = LawOf(frames, axis, options, &why);
-  if (!law) return;
-  Results sum = Results::Zero(), noise = Results::Zero();
-  int count = 0;
-  for (std::size_t f = 0; f < frames.size(); ++f) {
-    const FramePatch& record = series->frames[f];
-    if (record.by != FramePatch::By::kLiftOff) continue;
-    FramePatch again;
-    if (!PatchOfFrame(frames[f], axis, options).FindByLaw(*law, &again)) continue;
-    sum += again.patch.results() - record.patch.results();
-    noise += again.sigma_law.cwiseAbs2() - record.sigma_law.cwiseAbs2();
-    ++count;
-  }
-  if (count == 0) return;
-  const Results told = sum / (count * nearer);
-  const Results variance = (noise / (count * nearer * nearer)).cwiseMax(0);
-  for (FramePatch& record : series->frames) {
-    if (record.by != FramePatch::By::kLiftOff) continue;
-    // The mean square of the error, given what is told of it and what was likely.
-    const Results likely = LikelyModelErrors(record.patch.results()).cwiseAbs2();
-    const Results share = likely.cwiseQuotient(likely + variance);
-    const Results model = share.cwiseProduct(told).cwiseAbs2() + share.cwiseProduct(variance);
-    record.sigma_law = (record.sigma_law.cwiseAbs2() + model).cwiseSqrt();
-    record.sigma_random = (record.sigma_random.cwiseAbs2() + model).cwiseSqrt();
-  }
 }
 
 }  // namespace
@@ -342,6 +316,9 @@ void PatchSeriesOptions::Check() const {
   threshold.Check();
   carcass.Check();
   if (!(sigma_mm > 0)) throw UsageError("The sigma of the points must be positive.");
+  if (!(sigma_depth_mm >= 0) || !(sigma_ellipse_mm >= 0)) {
+    throw UsageError("What the law of lift-off leaves out has sigmas of 0 mm or more.");
+  }
   if (!(correlation_area_points >= 1)) {
     throw UsageError("At least one point shares a point's noise: its own.");
   }
@@ -374,7 +351,6 @@ PatchSeries FindPatches(std::span<const PatchFrame> frames, const WheelAxis& axi
     if (!record.within_threshold) record.problem = why;
     patch.FindWithinThreshold(neighbours, &record);
   }
-  if (series.law && !options.law) AddModelErrors(frames, axis, options, &series);
   return series;
 }
 

@@ -43,6 +43,9 @@ struct PatchSeriesOptions {
   double sigma_mm = 0.05;              // of the points along the ground's normal, from noise
   double correlation_area_points = 1;  // as in GroundPlaneOptions
   std::optional<LiftOffLaw> law;       // that of another run of the same tyre
+  // What the law leaves out, as errors of the undeformed depth at which the tyre leaves the ground:
+  // all round, and of opposite sign along and across (docs/theory.md, section 22).
+  double sigma_depth_mm = 0.01, sigma_ellipse_mm = 0.05;
   // Of the frames' thickness_mm. Where it is a map with a sigma the law counts what may be wrong
   // with it (FitLawAndThickness), and along its modes goes with them.
   CarcassThickness carcass = {{}, {0}};
@@ -63,7 +66,7 @@ struct FramePatch {
   using Results = ContactPatch::Results;
   Results sigma_random = Results::Zero(), sigma_calibration = Results::Zero();
   // The part of sigma_random that is the law's, and so common to all frames: from noise, and what
-  // it leaves out, told by fitting it up to half the gap (where it is not given).
+  // it leaves out.
   Results sigma_law = Results::Zero();
   // Within the threshold, whatever `by` says.
   std::optional<ContactPatch> within_threshold;

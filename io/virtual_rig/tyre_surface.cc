@@ -19,9 +19,7 @@ using internal::ValueOf;
 using internal::Vector3;
 
 // Shares and angles of the deformation, chosen to look like a radial tyre: see docs/virtual_rig.md.
-constexpr double kTreadLift = 0.2;          // of the deflection: the tread as a whole moves up
 constexpr double kBulge = 0.2;              // of the deflection: the widest sidewall moves out
-constexpr double kContactEdge_mm = 4;       // half height over which the patch's edge is rounded
 constexpr double kNear_rad = 0.30;          // lift and bulge are whole up to here
 constexpr double kFar_rad = 0.90;           // and gone from here on
 constexpr double kStraightFade_rad = 0.35;  // the belt turns round within this angle
@@ -48,10 +46,11 @@ class TyreSurface::Shape {
         meridian_(options.section),
         ground_(options.obstacles, options.bending_length_mm),
         deformed_(deformed && options.lifted_mm <= 0) {
-    const double lift = kTreadLift * options.deflection_mm;
+    const double lift = options.tread_lift * options.deflection_mm;
     const double height = meridian_.outer_radius_mm() - options.deflection_mm;
-    const double cosine = (height + lift + kContactEdge_mm - options.section.crown_thickness_mm) /
-                          options.section.crown_radius_mm;
+    const double cosine =
+        (height + lift + options.contact_edge_mm - options.section.crown_thickness_mm) /
+        options.section.crown_radius_mm;
     leading_rad_ = std::acos(std::clamp(cosine, -1.0, 1.0));
     sliding_rad_ = -kStickShare * leading_rad_;
     tan_slip_ = std::tan(options.slip_angle_rad);
@@ -172,8 +171,8 @@ class TyreSurface::Shape {
       p.y() += near * (s < 0.0 ? -1.0 : 1.0) * kBulge * options_.deflection_mm * bulge +
                tread * (RollingRadius() * tan_slip_ * shear -
                         kLateralCompliance_mm_rad * tan_slip_ * near);
-      p.z() +=
-          near * kTreadLift * options_.deflection_mm * (1.0 - SmoothStep(T((a - 100.0) / 110.0)));
+      p.z() += near * options_.tread_lift * options_.deflection_mm *
+               (1.0 - SmoothStep(T((a - 100.0) / 110.0)));
     }
     return OnTheGround(state, phi, s, ToGround(p));
   }
@@ -189,7 +188,7 @@ class TyreSurface::Shape {
     if (near > 0.0) p.template head<2>() += near * ground_.Gathered(T(p.x() + state.travel), p.y());
     const T floor = meridian_.Thickness(s) + ground_.Enveloped(T(p.x() + state.travel), p.y());
     const T clearance = p.z() - floor;
-    p.z() = floor + SmoothRamp(clearance, kContactEdge_mm);
+    p.z() = floor + SmoothRamp(clearance, options_.contact_edge_mm);
     return {p, clearance};
   }
 
@@ -262,6 +261,12 @@ void TyreOptions::Check() const {
   if (!(deflection_mm > 8 && deflection_mm < 0.1 * outer)) {
     throw UsageError("The tyre's deflection must lie between 8 mm and a tenth of its radius.");
   }
+  if (!(tread_lift >= 0 && tread_lift <= 0.5) ||
+      !(contact_edge_mm >= 1 && contact_edge_mm < deflection_mm / 2)) {
+    throw UsageError(
+        "The tread is lifted by 0 to 0.5 of the deflection, and its edge rounded over 1 mm to half "
+        "the deflection.");
+  }
   if (!(lifted_mm >= 0)) throw UsageError("A wheel is lifted by 0 mm or more.");
   if (!(free_rolling_radius_mm > 0.8 * outer && free_rolling_radius_mm < outer)) {
     throw UsageError("The free rolling radius must lie between 0.8 and 1 outer radii.");
@@ -330,7 +335,8 @@ class TyreSurface::ContactInstant : public TyreContact {
 
   double Level(const Eigen::Vector2d& material_mm) const override {
     const auto contact = shape_->ContactAt(state_, material_mm);
-    return std::max(contact.clearance + kContactEdge_mm, shape_->ground().Bridging(contact.ground));
+    return std::max(contact.clearance + shape_->options().contact_edge_mm,
+                    shape_->ground().Bridging(contact.ground));
   }
   double Gap(const Eigen::Vector2d& material_mm) const override {
     const auto contact = shape_->ContactAt(state_, material_mm);

@@ -47,6 +47,8 @@ struct TyreOptions {
   double lifted_mm = 0;                 // above 0: the wheel hangs free, so far above the ground
   double free_rolling_radius_mm = 389;  // travel a radian of the wheel at zero slip
   double bending_length_mm = 30;        // of the carcass, over obstacles
+  double tread_lift = 0.2;     // share of the deflection by which the tread as a whole moves up
+  double contact_edge_mm = 4;  // half height over which the patch's edge is rounded
   std::vector<Obstacle> obstacles;
 
   double speed_mm_s = 1400;     // mean

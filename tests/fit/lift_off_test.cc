@@ -35,7 +35,9 @@ Made Make(const LiftOffLaw& law, double sigma_mm = 0, unsigned seed = 1) {
     for (int c = 0; c < size.width; ++c) {
       const Eigen::Vector2d at(4.0 * (c - 35), 4.0 * (r - 30));
       const double q = 12 * (at.cwiseQuotient(kHalf_mm).squaredNorm() - 1);
-      const double gap = q <= 0 ? 0 : std::exp(law.log_k) * std::pow(q, 4) * (1 + law.m * q);
+      const double gap =
+          q <= 0 ? 0
+                 : std::exp(law.log_k) * std::pow(q, 4) * (1 + law.m * q * (1 + law.n * law.m * q));
       made.position(r, c) << at, kThickness + gap + sigma_mm * normal(random);
       made.undeformed(r, c) << at, kThickness + q + kA0;
     }
@@ -43,7 +45,14 @@ Made Make(const LiftOffLaw& law, double sigma_mm = 0, unsigned seed = 1) {
   return made;
 }
 
-const LiftOffLaw kLaw{std::log(0.004), -0.09, Eigen::Matrix2d::Zero()};
+// Points and noise alone.
+LiftOffOptions NextTermKnown() {
+  LiftOffOptions options;
+  options.sigma_next_term = 0;
+  return options;
+}
+
+const LiftOffLaw kLaw{std::log(0.004), -0.09, 0.28};
 
 TEST(LiftOff, FindsTheLawAndTheBoundaryThatWereMade) {
   const Made made = Make(kLaw);
@@ -67,11 +76,11 @@ TEST(LiftOff, LineByTheLawIsTheDerivative) {
   const Made made = Make(kLaw);
   const auto line = FindLiftOffLine(made.frame(), kLaw, 0.01, 1);
   ASSERT_TRUE(line.has_value());
-  for (int k = 0; k < 2; ++k) {
-    const double step = k == 0 ? 1e-3 : 1e-4;
+  for (int k = 0; k < LiftOffLaw::kParameters; ++k) {
+    const double step = k == 1 ? 1e-4 : 1e-3;
     LiftOffLaw more = kLaw, less = kLaw;
-    (k == 0 ? more.log_k : more.m) += step;
-    (k == 0 ? less.log_k : less.m) -= step;
+    (k == 0 ? more.log_k : k == 1 ? more.m : more.n) += step;
+    (k == 0 ? less.log_k : k == 1 ? less.m : less.n) -= step;
     const auto a = FindLiftOffLine(made.frame(), more, 0.01, 1);
     const auto b = FindLiftOffLine(made.frame(), less, 0.01, 1);
     ASSERT_TRUE(a && b);
@@ -86,7 +95,7 @@ TEST(LiftOff, SigmasAreThoseOfSampling) {
   for (int draw = 0; draw < kDraws; ++draw) {
     const Made made = Make(kLaw, 0.03, static_cast<unsigned>(draw + 1));
     const LiftOffFrame frames[] = {made.frame()};
-    const LiftOffLaw law = FitLiftOffLaw(frames, 0.03, 1);
+    const LiftOffLaw law = FitLiftOffLaw(frames, 0.03, 1, NextTermKnown());
     law_nees += std::pow(law.m - kLaw.m, 2) / law.cov(1, 1) / kDraws;
     const auto line = FindLiftOffLine(frames[0], kLaw, 0.03, 1);
     ASSERT_TRUE(line.has_value());
@@ -153,6 +162,23 @@ TEST(LiftOff, TheContactTellsTheThicknessButForAConstantAndASlope) {
   EXPECT_THROW((void)FitLawAndThickness(std::span(frames).first(0), 0.001, 1, &prior), InputError);
 }
 
+// The other way round: what another next term makes of k and m is in their covariance.
+TEST(LiftOff, TheSigmaOfTheNextTermMovesTheOthers) {
+  const Made made = Make(kLaw);
+  const LiftOffFrame frames[] = {made.frame()};
+  LiftOffOptions options = NextTermKnown();
+  const LiftOffLaw law = FitLiftOffLaw(frames, 0.01, 1, options);
+  options.sigma_next_term = 0.02;
+  const LiftOffLaw unsure = FitLiftOffLaw(frames, 0.01, 1, options);
+  options.next_term += 0.02;
+  const LiftOffLaw other = FitLiftOffLaw(frames, 0.01, 1, options);
+  EXPECT_EQ(law.cov(2, 2), 0);
+  EXPECT_NEAR(std::sqrt(unsure.cov(2, 2)), 0.02, 1e-9);
+  const double of_m = std::sqrt(unsure.cov(1, 1) - law.cov(1, 1));
+  EXPECT_NEAR(of_m, std::abs(other.m - law.m), 0.1 * of_m);
+  EXPECT_NEAR(unsure.cov(1, 2), 0.02 * (other.m - law.m), 0.1 * std::abs(unsure.cov(1, 2)));
+}
+
 // Held tightly at other values, the law goes as it says.
 TEST(LiftOff, TheLawGoesWithTheThicknessAsItSays) {
   const CarcassThickness map = SmoothMap();
@@ -161,7 +187,7 @@ TEST(LiftOff, TheLawGoesWithTheThicknessAsItSays) {
   const LiftOffFrame frames[] = {made.free_frame()};
   const auto held = [&](const Eigen::VectorXd& at_mm) {
     const ThicknessPrior prior{at_mm, 1e-6};
-    return FitLawAndThickness(frames, 0.01, 1, &prior);
+    return FitLawAndThickness(frames, 0.01, 1, &prior, NextTermKnown());
   };
   const Eigen::VectorXd none = Eigen::VectorXd::Zero(entries);
   const LawAndThickness here = held(none);
@@ -189,12 +215,12 @@ TEST(LiftOff, SigmasOfLawAndThicknessAreThoseOfSampling) {
     const Made made = UnderAWrongMap(map, errors_mm, 0.03, static_cast<unsigned>(draw + 1));
     const LiftOffFrame frames[] = {made.free_frame()};
     const ThicknessPrior prior{Eigen::VectorXd::Zero(entries), kMap_mm};
-    const LawAndThickness found = FitLawAndThickness(frames, 0.03, 1, &prior);
+    const LawAndThickness found = FitLawAndThickness(frames, 0.03, 1, &prior, NextTermKnown());
     const Eigen::VectorXd off =
         found.added_mm + Eigen::Map<const Eigen::VectorXd>(errors_mm.data(), entries);
     nees += off.dot(found.cov_mm2.ldlt().solve(off)) / static_cast<double>(entries * kDraws);
-    const Eigen::Matrix2d cov = found.law.cov + found.d_law_d_thickness * found.cov_mm2 *
-                                                    found.d_law_d_thickness.transpose();
+    const LiftOffLaw::Covariance cov = found.law.cov + found.d_law_d_thickness * found.cov_mm2 *
+                                                           found.d_law_d_thickness.transpose();
     law_nees += std::pow(found.law.m - kLaw.m, 2) / cov(1, 1) / kDraws;
   }
   EXPECT_NEAR(nees, 1, 0.2);

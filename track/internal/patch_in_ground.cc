@@ -1,5 +1,7 @@
 #include "track/internal/patch_in_ground.h"
 
+#include <algorithm>
+
 namespace plumbline::internal {
 
 InGround::InGround(const PatchFrame& frame, const Rigid3& ground_from_rig,
@@ -33,6 +35,15 @@ void FramesOnGround::SetCarcass(const CarcassThickness& carcass) {
     thickness_mm_.push_back(ThicknessOver(carcass, frame->undeformed_mm, axis_));
     shares_.push_back(ThicknessSharesOver(carcass, frame->undeformed_mm, axis_));
   }
+}
+
+bool FramesOnGround::Holds(const LiftOffLaw& law, const PatchSeriesOptions& options) const {
+  const std::vector<LiftOffFrame> all = ForLiftOff();
+  return std::any_of(all.begin(), all.end(), [&](const LiftOffFrame& frame) {
+    return FindLiftOffLine(frame, law, options.sigma_mm, options.correlation_area_points,
+                           options.lift_off)
+        .has_value();
+  });
 }
 
 std::vector<LiftOffFrame> FramesOnGround::ForLiftOff() const {

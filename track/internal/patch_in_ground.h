@@ -31,7 +31,8 @@ class FramesOnGround {
   // The thickness of another carcass with the same places.
   void SetCarcass(const CarcassThickness& carcass);
   std::vector<LiftOffFrame> ForLiftOff() const;
-  const std::vector<const PatchFrame*>& frames() const { return frames_; }
+  // Whether a law holds in any of them.
+  bool Holds(const LiftOffLaw& law, const PatchSeriesOptions& options) const;
 
  private:
   const WheelAxis& axis_;
