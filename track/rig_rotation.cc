@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <Eigen/Cholesky>
-#include <Eigen/Eigenvalues>
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
@@ -14,6 +13,7 @@
 #include <utility>
 
 #include "calib/error.h"
+#include "track/internal/covariance_root.h"
 #include "track/internal/maximise.h"
 #include "track/internal/pose_filter.h"
 
@@ -424,13 +424,7 @@ Eigen::MatrixXd RandomRoot(std::span<const RigRotationFrame> frames) {
       joint.block<3, 3>(j, i) = cov.transpose();
     }
   }
-  // In sigmas: angles and heights have other units.
-  const Eigen::VectorXd sigma = joint.diagonal().cwiseMax(0).cwiseSqrt();
-  const Eigen::VectorXd by = (sigma.array() > 0).select(sigma.cwiseInverse(), 0);
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(by.asDiagonal() * joint *
-                                                              by.asDiagonal());
-  return sigma.asDiagonal() * solver.eigenvectors() *
-         solver.eigenvalues().cwiseMax(0).cwiseSqrt().asDiagonal();
+  return internal::CovarianceRoot(joint);
 }
 
 Rigid3 ManualGround(const Eigen::Vector3d& turns_deg,

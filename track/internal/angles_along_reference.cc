@@ -1,10 +1,11 @@
 #include "track/internal/angles_along_reference.h"
 
-#include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
 #include <numbers>
 #include <vector>
+
+#include "track/internal/covariance_root.h"
 
 namespace plumbline::internal {
 namespace {
@@ -41,13 +42,7 @@ Eigen::MatrixXd RootOf(const WheelReference& reference, const std::vector<Eigen:
     joint.col(kAxis + i).head<kAxis>() = with_axis;
     joint.row(kAxis + i).head<kAxis>() = with_axis.transpose();
   }
-  // In sigmas: entries have other units.
-  const Eigen::VectorXd sigma = joint.diagonal().cwiseMax(0).cwiseSqrt();
-  const Eigen::VectorXd by = (sigma.array() > 0).select(sigma.cwiseInverse(), 0);
-  const Eigen::SelfAdjointEigenSolver<Eigen::MatrixXd> solver(by.asDiagonal() * joint *
-                                                              by.asDiagonal());
-  return sigma.asDiagonal() * solver.eigenvectors() *
-         solver.eigenvalues().cwiseMax(0).cwiseSqrt().asDiagonal();
+  return CovarianceRoot(joint);
 }
 
 // How the angle that a frame's points tell changes with the axis.
