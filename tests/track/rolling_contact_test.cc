@@ -96,7 +96,9 @@ TEST_F(RollingContactOfAnArc, TellsGroundDeformationPatchAndSlipOfEveryFrame) {
     // A subset here is 15 mm wide, as is the rounding where the tyre lifts off: that ends early.
     EXPECT_NEAR(frame.patch.patch.area_mm2 / patch->area_mm2, 0.9, 0.12);
     ASSERT_TRUE(frame.slip.found) << frame.slip.problem;
-    EXPECT_NEAR(frame.slip.speed_mm_s.value / wheel.speed_mm_s, 1, 0.004);
+    // At the ends the rate at which the ground turns in the rig is of three poses.
+    const bool end = f == 0 || f == 6;
+    EXPECT_NEAR(frame.slip.speed_mm_s.value / wheel.speed_mm_s, 1, end ? 0.005 : 0.004) << f;
     EXPECT_NEAR(frame.slip.slip_angle_rad.value, 0, 0.2 * kDegrees);
     EXPECT_NEAR(frame.slip.ratio.value, -0.03, 0.003);
     EXPECT_GT(frame.slip.sticking, 20);
@@ -138,49 +140,72 @@ TEST_F(RollingContactOfAnArc, StandsAsTheUserSays) {
   }
 }
 
-// The errors of the thickness are linear: a run with other thicknesses is off by what the modes
-// say.
-TEST_F(RollingContactOfAnArc, CountsTheErrorsOfTheCarcassBesideThoseOfTheCalibration) {
-  WheelReference wheel = *reference_;
+// What contact is found where the thickness of the carcass has a sigma, and where each entry is
+// off.
+struct OffByThickness {
+  RollingContact found, off;
+};
+OffByThickness WithErrors(const WheelReference& reference, const RollingWheel& measured,
+                          RollingContactOptions options, const std::vector<double>& errors_mm) {
+  CarcassThickness& carcass = options.carcass;
+  carcass.sigma_mm = 0.1;
+  EXPECT_THROW((void)WithCarcassModes(reference, carcass), UsageError);
+  const auto modes = 1 + static_cast<Eigen::Index>(errors_mm.size());
+  WheelReference wheel = reference;
   wheel.rig.modes.modes = Eigen::MatrixXd::Zero(1, wheel.rig.ParameterCount());
   wheel.axis_along_modes = Eigen::MatrixXd::Zero(1, 4);
   wheel.angles_along_modes_rad =
       Eigen::MatrixXd::Zero(1, static_cast<Eigen::Index>(wheel.frames.size()));
-  RollingContactOptions options = Options();
-  CarcassThickness& carcass = options.carcass;
-  carcass = {};
-  for (const double y : {-110, -60, -20, 20, 60, 110}) {
-    carcass.y_mm.push_back(Options().carcass.y_mm[22] + y);  // from the middle of the tread
-    carcass.thickness_mm.push_back(std::abs(y) > 80 ? 22 : 20);
-  }
-  const std::vector<double> errors_mm{0.05, -0.08, 0.1, 0.06, -0.05, 0.1};
-  carcass.sigma_mm = 0.1;
-  EXPECT_THROW((void)WithCarcassModes(*reference_, carcass), UsageError);
   wheel = WithCarcassModes(std::move(wheel), carcass);
-  RollingWheel survey = *survey_;
+  RollingWheel survey = measured;
   survey.angle_along_modes_rad =
-      Eigen::MatrixXd::Zero(7, static_cast<Eigen::Index>(survey.frames.size()));
-  const RollingContact found = FindRollingContact(wheel, survey, options);
+      Eigen::MatrixXd::Zero(modes, static_cast<Eigen::Index>(survey.frames.size()));
+  OffByThickness both{FindRollingContact(wheel, survey, options), {}};
   for (std::size_t k = 0; k < errors_mm.size(); ++k) carcass.thickness_mm[k] += errors_mm[k];
-  const RollingContact off = FindRollingContact(wheel, survey, options);
-  ASSERT_TRUE(found.found && off.found);
-  const RigRotationFrame& here = found.frames[3].rotation;
-  ASSERT_EQ(here.along_modes.size(), 7U);
-  EXPECT_LT(here.along_modes[0].norm(), 1e-6);  // moves nothing
-  RigPose foreseen = RigPose::Zero();
+  both.off = FindRollingContact(wheel, survey, options);
+  EXPECT_TRUE(both.found.found && both.off.found);
+  EXPECT_EQ(both.found.frames[3].rotation.along_modes.size(), static_cast<std::size_t>(modes));
+  EXPECT_LT(both.found.frames[3].rotation.along_modes[0].norm(), 1e-6);  // moves nothing
+  EXPECT_GT(both.found.frames[3].deformation.loaded_radius_mm.sigma_calibration(), 0.03);
+  return both;
+}
+
+// The errors of one thickness are linear: a run with another one is off by what the mode says.
+TEST_F(RollingContactOfAnArc, CountsTheErrorOfTheCarcassBesideThoseOfTheCalibration) {
+  RollingContactOptions options = Options();
+  options.carcass = {{}, {20}};
+  const double error_mm = 0.07;
+  const OffByThickness both = WithErrors(*reference_, *survey_, options, {error_mm});
+  const RigRotationFrame& here = both.found.frames[3].rotation;
+  const RigPose foreseen = error_mm / 0.1 * here.along_modes[1];
+  const RigPose change = both.off.frames[3].rotation.pose - here.pose;
+  EXPECT_GT(std::abs(change[2]), 0.06);
+  EXPECT_LT((change - foreseen).norm(), 0.05 * change.norm());
+}
+
+// A map is corrected by what touches the ground, so that the patch hangs on it little.
+TEST_F(RollingContactOfAnArc, TakesAMapOfTheCarcassToBeAsTheContactSays) {
+  RollingContactOptions options = Options();
+  const CarcassThickness truth = options.carcass;
+  options.carcass = {};
+  const std::vector<double> errors_mm{0.05, -0.08, 0.1, 0.06, -0.05, 0.1, -0.07, 0.08, -0.02};
   for (std::size_t k = 0; k < errors_mm.size(); ++k) {
-    foreseen += errors_mm[k] / carcass.sigma_mm * here.along_modes[k + 1];
+    const std::size_t at = truth.y_mm.size() * (k + 1) / (errors_mm.size() + 2);
+    options.carcass.y_mm.push_back(truth.y_mm[at]);
+    options.carcass.thickness_mm.push_back(truth.thickness_mm[at]);
   }
-  const RigPose change = off.frames[3].rotation.pose - here.pose;
+  const OffByThickness both = WithErrors(*reference_, *survey_, options, errors_mm);
+  const RigRotationFrame& here = both.found.frames[3].rotation;
+  const RigPose change = both.off.frames[3].rotation.pose - here.pose;
   EXPECT_GT(change.tail<2>().cwiseAbs().minCoeff(), 1e-5);
-  EXPECT_LT((change - foreseen).norm(), 0.2 * change.norm());
-  const FramePatch& patch = found.frames[3].patch;
-  // Places 40 mm apart are off by more than their sigma: the law need not hold.
-  ASSERT_NE(patch.by, FramePatch::By::kNothing) << patch.problem;
-  EXPECT_GT(patch.sigma_calibration[0], 0);
-  EXPECT_LT(std::abs(off.frames[3].patch.patch.area_mm2 - patch.patch.area_mm2),
-            3 * patch.sigma_calibration[0]);
-  EXPECT_GT(found.frames[3].deformation.loaded_radius_mm.sigma_calibration(), 0.03);
+  for (int k = 0; k < 3; ++k) EXPECT_LT(std::abs(change[k]), 2 * here.sigma_calibration[k]) << k;
+  const FramePatch &patch = both.found.frames[3].patch, &moved = both.off.frames[3].patch;
+  ASSERT_EQ(patch.by, FramePatch::By::kLiftOff) << patch.problem;
+  ASSERT_EQ(moved.by, FramePatch::By::kLiftOff) << moved.problem;
+  const double area_mm2 = patch.patch.area_mm2;
+  EXPECT_NE(moved.patch.area_mm2, area_mm2);
+  EXPECT_LT(std::abs(moved.patch.area_mm2 - area_mm2), 2 * patch.sigma_calibration[0]);
+  EXPECT_LT(patch.sigma_calibration[0], 0.01 * area_mm2);
 }
 
 // A right camera that is later by one sigma than was taken out moves the height by as much as the
