@@ -42,6 +42,12 @@ void RollingRunOptions::Check() const {
         "reference or fresh-stereo, not incremental.");
   }
   if (views_held < 1) throw UsageError("At least one reference image is prepared at a time.");
+  if (survey.matching.field.step_px % sequence.field.step_px != 0) {
+    throw UsageError(fmt::format(
+        "The points of the survey are some of those that are measured: its step of {} px has to be "
+        "a multiple of {} px.",
+        survey.matching.field.step_px, sequence.field.step_px));
+  }
 }
 
 struct RollingRun::Impl {

@@ -11,6 +11,7 @@
 #include <map>
 #include <memory>
 #include <numbers>
+#include <span>
 #include <utility>
 #include <vector>
 
@@ -29,7 +30,7 @@ namespace {
 using testing::Consistency;
 
 constexpr double kDegrees = std::numbers::pi / 180;
-constexpr int kLifted = 8, kRolling = 7;
+constexpr int kLifted = 8;
 constexpr double kLiftedStep_rad = 6 * kDegrees;
 
 // A recording without noise, to be exposed anew for each draw.
@@ -86,10 +87,10 @@ StereoRig WithModes(StereoRig rig) {
   return rig;
 }
 
-Scenario FlatGround() {
-  Scenario flat = MakeScenario("tyre-flat", RigKind::kWide640);
-  flat.frames = kRolling;
-  return flat;
+Scenario FramesOf(const char* name, int frames) {
+  Scenario scenario = MakeScenario(name, RigKind::kWide640);
+  scenario.frames = frames;
+  return scenario;
 }
 
 // The scatter of errors over the draws at each place by itself, in sigmas: what of them is noise.
@@ -134,10 +135,9 @@ struct Part {
   // large.
   double least_nees = 0.6, most_nees = 1.6;
 };
-// What the curve of the carcass leaves out is not drawn, and is in the tilt about x; what the law
-// of lift-off may leave out is in the patch. The height has the error that an arc leaves in the
-// axis' distance, and displacements what subsets at the rim of the patch do not follow, in all
-// draws alike.
+// What the law of lift-off may leave out, which is not drawn, is in the patch. The height has the
+// error that an arc leaves in the axis' distance, and displacements what subsets at the rim of the
+// patch do not follow, in all draws alike. Why the tilt about x is claimed too large is not known.
 constexpr std::array kParts = {Part{"tilt about x, rad", &Proof::tilt_x, 0.3},
                                Part{"tilt about y, rad", &Proof::tilt_y},
                                Part{"height of the axis, mm", &Proof::height, 0.6, 1.8},
@@ -152,6 +152,17 @@ constexpr std::array kParts = {Part{"tilt about x, rad", &Proof::tilt_x, 0.3},
                                Part{"patch width, mm", &Proof::width, 0},
                                Part{"displacement towards the axis, mm", &Proof::radial, 0.6, 2.4},
                                Part{"displacement along the axis, mm", &Proof::across}};
+
+constexpr std::array kPartsOverABar = {Part{"tilt about x, rad", &Proof::tilt_x},
+                                       Part{"tilt about y, rad", &Proof::tilt_y},
+                                       Part{"height of the axis, mm", &Proof::height},
+                                       Part{"turn since the first frame, rad", &Proof::turn},
+                                       Part{"speed of the wheel, rad/s", &Proof::wheel_speed},
+                                       Part{"speed over the ground, mm/s", &Proof::speed},
+                                       Part{"effective radius, mm", &Proof::radius},
+                                       Part{"slip angle, rad", &Proof::slip_angle},
+                                       Part{"displacement towards the axis, mm", &Proof::radial},
+                                       Part{"displacement along the axis, mm", &Proof::across}};
 
 // Points of a frame: displacement from the undeformed wheel. calibration: whether it was drawn too.
 void ComparePoints(const VirtualRig& rig, bool calibration, int number, const SeriesHeader& header,
@@ -175,13 +186,15 @@ void ComparePoints(const VirtualRig& rig, bool calibration, int number, const Se
             .cwiseSqrt();
     proof.radial.Add(off.dot(outwards), sigma.cwiseProduct(outwards).norm());
     proof.across.Add(off.dot(axis), sigma.cwiseProduct(axis).norm());
-    const auto place = static_cast<std::int64_t>(i) * kRolling + number;
+    const auto place = static_cast<std::int64_t>(i) * rig.scenario().frames + number;
     proof.radial_noise.Add(place, off.dot(outwards), sigma.cwiseProduct(outwards).norm());
     proof.across_noise.Add(place, off.dot(axis), sigma.cwiseProduct(axis).norm());
   }
 }
 
-void Compare(const VirtualRig& rig, bool calibration, int number, const TyrePatch& patch,
+// flat: the patch on flat ground; over an obstacle neither that nor the deflection is of one
+// number.
+void Compare(const VirtualRig& rig, bool calibration, int number, const TyrePatch* flat,
              const RollingFrame& first, const RollingFrame& placed, const SeriesFrame& frame,
              Proof& proof) {
   const double time_s = rig.FrameTime(number);
@@ -199,8 +212,10 @@ void Compare(const VirtualRig& rig, bool calibration, int number, const TyrePatc
   const DeformationRecord& d = frame.deformation;
   proof.height.Add(d.loaded_radius_mm - wheel.centre_height_mm,
                    both(d.sigma_random_loaded_radius_mm, d.sigma_calibration_loaded_radius_mm));
-  proof.deflection.Add(d.deflection_mm - tyre.deflection_mm,
-                       both(d.sigma_random_deflection_mm, d.sigma_calibration_deflection_mm));
+  if (flat != nullptr) {
+    proof.deflection.Add(d.deflection_mm - tyre.deflection_mm,
+                         both(d.sigma_random_deflection_mm, d.sigma_calibration_deflection_mm));
+  }
   const WheelRecord& w = frame.wheel;
   if (number > 0) {
     const double turned = wheel.angle_rad - rig.tyre()->Wheel(rig.FrameTime(0)).angle_rad;
@@ -210,6 +225,7 @@ void Compare(const VirtualRig& rig, bool calibration, int number, const TyrePatc
   proof.wheel_speed.Add(w.speed_rad_s - wheel.angular_speed_rad_s,
                         both(w.sigma_random_speed_rad_s, w.sigma_calibration_speed_rad_s));
   const SlipRecord& s = frame.slip;
+  if (!s.found) return;
   proof.speed.Add(s.speed_mm_s - wheel.speed_mm_s,
                   both(s.sigma_random_speed_mm_s, s.sigma_calibration_speed_mm_s));
   proof.radius.Add(
@@ -217,25 +233,25 @@ void Compare(const VirtualRig& rig, bool calibration, int number, const TyrePatc
       both(s.sigma_random_effective_radius_mm, s.sigma_calibration_effective_radius_mm));
   proof.slip_angle.Add(s.angle_rad, both(s.sigma_random_angle_rad, s.sigma_calibration_angle_rad));
   const PatchRecord& p = frame.patch;
-  if (!p.found || !std::isfinite(p.sigma_random_area_mm2)) return;
-  proof.area.Add(p.area_mm2 - patch.area_mm2,
+  if (flat == nullptr || !p.found || !std::isfinite(p.sigma_random_area_mm2)) return;
+  proof.area.Add(p.area_mm2 - flat->area_mm2,
                  both(p.sigma_random_area_mm2, p.sigma_calibration_area_mm2));
-  proof.length.Add(p.length_mm - patch.length_mm,
+  proof.length.Add(p.length_mm - flat->length_mm,
                    both(p.sigma_random_length_mm, p.sigma_calibration_length_mm));
-  proof.width.Add(p.width_mm - patch.width_mm,
+  proof.width.Add(p.width_mm - flat->width_mm,
                   both(p.sigma_random_width_mm, p.sigma_calibration_width_mm));
 }
 
 // One draw: the wheel's reference and a run, by a rig that is off along its modes.
-void AddDraw(const Scene& lifted, const Scene& rolling, const TyrePatch& patch,
-             const StereoRig& rig, bool calibration, std::uint64_t seed, Proof& proof) {
+void AddDraw(const Scene& lifted, const Scene& rolling, const TyrePatch* flat, const StereoRig& rig,
+             bool calibration, std::uint64_t seed, Proof& proof) {
   const std::vector<StereoFrame> arc = lifted.Expose(seed);
   const auto open = [&] { return std::make_unique<testing::HeldPairs>(arc); };
   const auto go_on = [](const std::string&, std::int64_t, std::int64_t) { return true; };
   const WheelReferenceRun reference = MeasureWheelReference(rig, open, {}, go_on);
   ASSERT_TRUE(reference.wheel);
   RollingRunOptions options;
-  options.sequence.field.step_px = 12;
+  options.sequence.field.step_px = 8;
   options.sequence.field.correlator.subset_px = 33;
   options.sequence.field.correlator.order = 2;
   const SensorOptions& sensor = rolling.rig.scenario().sensor;
@@ -243,7 +259,6 @@ void AddDraw(const Scene& lifted, const Scene& rolling, const TyrePatch& patch,
       NoiseModel{std::pow(sensor.read_noise_grey, 2) - sensor.gain_grey * sensor.black_level_grey,
                  sensor.gain_grey};
   options.survey.matching = options.sequence;
-  options.survey.matching.field.step_px = 8;
   RollingRun run(*reference.wheel, options);
   const std::vector<StereoFrame> pairs = rolling.Expose(seed + 1000);
   testing::HeldPairs recording(pairs);
@@ -252,25 +267,25 @@ void AddDraw(const Scene& lifted, const Scene& rolling, const TyrePatch& patch,
   contact.carcass = testing::TrueCarcass(lifted.rig, reference.wheel->axis, 2);
   run.FindContact(contact);
   const SeriesHeader header = run.Header();
-  for (int f = 0; f < kRolling; ++f) {
+  for (int f = 0; f < rolling.rig.scenario().frames; ++f) {
     const SeriesFrame frame = run.Measure(pairs[static_cast<std::size_t>(f)], f).frame;
     ASSERT_EQ(frame.problem, "");
     ++proof.frames;
     if (!frame.rig_rotation.found) continue;
     ++proof.with_ground;
     const std::vector<RollingFrame>& placed = run.wheel().frames;
-    Compare(rolling.rig, calibration, f, patch, placed[0], placed[static_cast<std::size_t>(f)],
+    Compare(rolling.rig, calibration, f, flat, placed[0], placed[static_cast<std::size_t>(f)],
             frame, proof);
     ComparePoints(rolling.rig, calibration, f, header, frame, proof);
   }
 }
 
-void Prove(int draws) {
+void Prove(const Scenario& scenario, bool flat, std::span<const Part> parts, int draws) {
   const Scene lifted(
       testing::TurningBy(kLiftedStep_rad, kLifted, MakeScenario("tyre-lifted", RigKind::kWide640)));
-  const Scene rolling(FlatGround());
+  const Scene rolling(scenario);
   const auto patch = FindPatch(*rolling.rig.tyre(), 0);
-  ASSERT_TRUE(patch);
+  ASSERT_TRUE(patch || !flat);
   const StereoRig rig = WithModes(rolling.rig.scenario().rig);
   for (const bool calibration : {false, true}) {
     Proof all;
@@ -282,11 +297,12 @@ void Prove(int draws) {
         for (double& g : along) g = normal();
         off = rig.WithParameters(rig.Parameters() + rig.modes.modes.transpose() * along);
       }
-      AddDraw(lifted, rolling, *patch, off, calibration, static_cast<std::uint64_t>(draw + 1), all);
+      AddDraw(lifted, rolling, flat ? &*patch : nullptr, off, calibration,
+              static_cast<std::uint64_t>(draw + 1), all);
       if (::testing::Test::HasFatalFailure()) return;
     }
     EXPECT_EQ(all.with_ground, all.frames);
-    for (const Part& p : kParts) {
+    for (const Part& p : parts) {
       const Consistency& c = all.*p.part;
       c.Print(fmt::format("{} | {}", calibration ? "both" : "noise", p.name).c_str());
       EXPECT_GT(c.coverage(), 0.85) << p.name;
@@ -305,7 +321,13 @@ void Prove(int draws) {
 
 TEST(RollingProof, ProveSigmasOver20Draws) {
   if (std::getenv("PLUMBLINE_PROVE") == nullptr) GTEST_SKIP() << "set PLUMBLINE_PROVE=1";
-  Prove(20);
+  Prove(FramesOf("tyre-flat", 7), true, kParts, 20);
+}
+
+// A bar comes under the wheel, stands under it, and begins to leave it.
+TEST(RollingProof, ProveSigmasOverABarOver10Draws) {
+  if (std::getenv("PLUMBLINE_PROVE") == nullptr) GTEST_SKIP() << "set PLUMBLINE_PROVE=1";
+  Prove(FramesOf("cleat-lateral-square38", 6), false, kPartsOverABar, 10);
 }
 
 }  // namespace

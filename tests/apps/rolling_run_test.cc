@@ -249,6 +249,9 @@ TEST_F(RollingTyre, SaysWhyNothingIsOnTheWheel) {
   RollingRunOptions options = Options();
   options.sequence.strategy = StereoStrategy::kIncremental;
   EXPECT_THROW(RollingRun(*reference_, options), UsageError);
+  RollingRunOptions beside = Options();
+  ++beside.survey.matching.field.step_px;
+  EXPECT_THROW(RollingRun(*reference_, beside), UsageError);
 }
 
 TEST_F(RollingTyre, IsMeasuredByTheCommand) {
