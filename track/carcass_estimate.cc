@@ -120,6 +120,34 @@ class Strips {
   std::map<int, Strip> strips_;
 };
 
+// What touches does not tell a constant and a slope of the map apart from the ground's height and
+// tilt: over the entries that it tells the correction has none, and they are as unsure as the map
+// was said to be. The points beyond the contact, of which the matches make something else than the
+// law says, have no say in them so.
+void HoldLine(CarcassThickness* found, Eigen::MatrixXd* cov_mm2) {
+  constexpr double kTold = 0.25;  // of the variance as it was said
+  const double said_mm2 = found->sigma_mm * found->sigma_mm;
+  const auto entries = static_cast<Eigen::Index>(found->y_mm.size());
+  Eigen::MatrixXd line(entries, 2);
+  Eigen::VectorXd corrected(entries), told(entries);
+  for (Eigen::Index k = 0; k < entries; ++k) {
+    const auto at = static_cast<std::size_t>(k);
+    line.row(k) << 1, found->y_mm[at] / 100;
+    corrected[k] = found->thickness_mm[at] - found->said_mm[at];
+    told[k] = (*cov_mm2)(k, k) < kTold * said_mm2 ? 1 : 0;
+  }
+  if (told.sum() < 3) return;
+  const Eigen::Matrix2d inverse = (line.transpose() * told.asDiagonal() * line).inverse();
+  const Eigen::MatrixXd fit = line * inverse * line.transpose() * told.asDiagonal();
+  const Eigen::VectorXd taken = fit * corrected;
+  for (Eigen::Index k = 0; k < entries; ++k) {
+    double& entry = found->thickness_mm[static_cast<std::size_t>(k)];
+    entry = std::max(0.0, entry - taken[k]);
+  }
+  const Eigen::MatrixXd rest = Eigen::MatrixXd::Identity(entries, entries) - fit;
+  *cov_mm2 = rest * *cov_mm2 * rest.transpose() + said_mm2 * line * inverse * line.transpose();
+}
+
 }  // namespace
 
 ThicknessPrior PriorOf(const CarcassThickness& carcass) {
@@ -166,6 +194,7 @@ CarcassThickness EstimateCarcass(std::span<const PatchFrame> frames, const Wheel
     if (why != nullptr) *why = "the law of lift-off holds in no frame with a map of these places";
     return carcass;
   }
+  HoldLine(&found, &fitted.cov_mm2);
   found.modes_mm = Eigen::LLT<Eigen::MatrixXd>(fitted.cov_mm2).matrixL();
   return found;
 }

@@ -169,16 +169,16 @@ class Velocities {
     SharesOf(kNow, i) = {{i, 1.0}};
   }
 
-  // An error of each frame's points, one image a frame.
-  Image<Eigen::Vector3f> Combined(const std::array<const Image<Eigen::Vector3f>*, 3>& errors) {
+  // What an error does to the velocities that moves a point i of frame f by of(f, i).
+  template <typename Of>
+  Image<Eigen::Vector3f> Combined(const Of& of) {
     Image<Eigen::Vector3f> sum(v_.size(), kNone.cast<float>());
     ForEachIndex(sum.pixel_count(), [&](std::size_t i) {
       if (v_.from.data()[i] == VelocityFrom::kNone) return;
       Eigen::Vector3d total = Eigen::Vector3d::Zero();
       for (int f = 0; f < 3; ++f) {
         const double by = v_.per_s.data()[i][f];
-        if (by == 0) continue;
-        total += by * Interpolated(SharesOf(f, i), *errors[static_cast<std::size_t>(f)]);
+        if (by != 0) total += by * Eigen::Vector3d(of(f, i));
       }
       sum.data()[i] = total.cast<float>();
     });
@@ -187,21 +187,11 @@ class Velocities {
 
   void SetGroundErrors(const GroundErrors& errors) {
     for (Eigen::Index k = 0; k < errors[kNow].cols(); ++k) {
-      Image<Eigen::Vector3f> sum(v_.size(), kNone.cast<float>());
-      ForEachIndex(sum.pixel_count(), [&](std::size_t i) {
-        if (v_.from.data()[i] == VelocityFrom::kNone) return;
-        Eigen::Vector3d total = Eigen::Vector3d::Zero();
-        for (int f = 0; f < 3; ++f) {
-          const double by = v_.per_s.data()[i][f];
-          if (by == 0) continue;
-          const auto error = errors[static_cast<std::size_t>(f)].col(k);
-          const Eigen::Vector3d turn = error.head<3>(), shift = error.tail<3>();
-          total +=
-              by * (turn.cross(Interpolated(SharesOf(f, i), triple_.ground(f).point_mm)) + shift);
-        }
-        sum.data()[i] = total.cast<float>();
-      });
-      v_.along_common_mm_s.push_back(std::move(sum));
+      v_.along_common_mm_s.push_back(Combined([&](int f, std::size_t i) -> Eigen::Vector3d {
+        const auto error = errors[static_cast<std::size_t>(f)].col(k);
+        const Eigen::Vector3d turn = error.head<3>(), shift = error.tail<3>();
+        return turn.cross(Interpolated(SharesOf(f, i), triple_.ground(f).point_mm)) + shift;
+      }));
       v_.turn_along_common_rad.emplace_back(errors[kNow].col(k).head<3>());
     }
   }
@@ -214,7 +204,9 @@ class Velocities {
         if (triple_.at(f) == nullptr) continue;
         errors[static_cast<std::size_t>(f)] = &triple_.ground(f).along_modes_mm[k];
       }
-      v_.along_modes_mm_s.push_back(Combined(errors));
+      v_.along_modes_mm_s.push_back(Combined([&](int f, std::size_t i) {
+        return Interpolated(SharesOf(f, i), *errors[static_cast<std::size_t>(f)]);
+      }));
       Eigen::Vector3d turn = Eigen::Vector3d::Zero();
       if (!ground.along_modes.empty()) {
         turn = (ground.along_modes[k] * ground.frame_from_rig.Inverse()).RotationVector();
