@@ -45,7 +45,7 @@ struct PatchSeriesOptions {
   std::optional<LiftOffLaw> law;       // that of another run of the same tyre
   // What the law leaves out, as errors of the undeformed depth at which the tyre leaves the ground:
   // all round, and of opposite sign along and across (docs/theory.md, section 22).
-  double sigma_depth_mm = 0.01, sigma_ellipse_mm = 0.1;
+  double sigma_depth_mm = 0.04, sigma_ellipse_mm = 0.1;
   // Of the frames' thickness_mm. Where it is a map with a sigma the law counts what may be wrong
   // with it (FitLawAndThickness), and along its modes goes with them.
   CarcassThickness carcass = {{}, {0}};
