@@ -125,14 +125,15 @@ class Strips {
 // was said to be. The points beyond the contact, of which the matches make something else than the
 // law says, have no say in them so.
 void HoldLine(CarcassThickness* found, Eigen::MatrixXd* cov_mm2) {
-  constexpr double kTold = 0.25;  // of the variance as it was said
+  constexpr double kTold = 0.25;      // of the variance as it was said
+  constexpr double kLength_mm = 100;  // so that both columns are of one size
   const double said_mm2 = found->sigma_mm * found->sigma_mm;
   const auto entries = static_cast<Eigen::Index>(found->y_mm.size());
   Eigen::MatrixXd line(entries, 2);
   Eigen::VectorXd corrected(entries), told(entries);
   for (Eigen::Index k = 0; k < entries; ++k) {
     const auto at = static_cast<std::size_t>(k);
-    line.row(k) << 1, found->y_mm[at] / 100;
+    line.row(k) << 1, found->y_mm[at] / kLength_mm;
     corrected[k] = found->thickness_mm[at] - found->said_mm[at];
     told[k] = (*cov_mm2)(k, k) < kTold * said_mm2 ? 1 : 0;
   }

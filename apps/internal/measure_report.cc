@@ -229,10 +229,8 @@ std::string MeasureReport::VibrationText() const {
   if (after_one == 0) return "";
   return fmt::format(
       "The pose of the cameras is refined in {} of {} frames, and {} after one of these keep that "
-      "of "
-      "the calibration: cameras that vibrate move in those too, by less than is beyond doubt, "
-      "which "
-      "is in no sigma. Measure with --refine-pose always.\n",
+      "of the calibration: cameras that vibrate move in those too, by less than is beyond doubt, "
+      "which is in no sigma. Measure with --refine-pose always.\n",
       refined, measured(), after_one);
 }
 
