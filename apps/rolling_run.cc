@@ -91,7 +91,7 @@ struct RollingRun::Impl {
   }
   Prepared& Prepare(std::size_t view);
   void PrepareGrid(const SurveyRecord& survey);
-  bool EndSurvey(const std::string& first_problem);
+  void EndSurvey(const std::string& first_problem);
   bool IsPlaced(std::size_t at) const {
     return rolling.frames.at(at).status == RollingFrameStatus::kPlaced;
   }
@@ -164,8 +164,8 @@ const WheelReference& RollingRun::reference() const { return impl_->reference; }
 const RightDelayEstimate& RollingRun::right_delay() const { return impl_->estimate; }
 const RightDelay& RollingRun::right_delay_used() const { return impl_->delay; }
 
-// Whether there is anything to go on with; it is, or that throws.
-bool RollingRun::Impl::EndSurvey(const std::string& first_problem) {
+// Throws where there is nothing to go on with.
+void RollingRun::Impl::EndSurvey(const std::string& first_problem) {
   rolling = survey->Finish();
   if (rolling.placed() > 0) survey->MoveBack(delay, &rolling);
   if (rolling.frames.empty()) throw InputError("There are no frames to measure.");
@@ -173,7 +173,6 @@ bool RollingRun::Impl::EndSurvey(const std::string& first_problem) {
     throw InputError(fmt::format("None of the {} frames is found on the wheel; the first one: {}.",
                                  rolling.frames.size(), first_problem));
   }
-  return true;
 }
 
 bool RollingRun::Survey(ImageSource& source, const RollingProgress& progress) {
@@ -192,7 +191,8 @@ bool RollingRun::Survey(ImageSource& source, const RollingProgress& progress) {
     }
     if (first_problem.empty()) first_problem = problem;
   }
-  return impl.EndSurvey(first_problem);
+  impl.EndSurvey(first_problem);
+  return true;
 }
 
 void RollingRun::Impl::PrepareGrid(const SurveyRecord& survey) {
@@ -214,7 +214,8 @@ bool RollingRun::SurveyAgain(std::int64_t count, const MeasuredFrames& frames,
         impl.survey->AddMatched(internal::RollingFrameOf(stored, impl.grid));
     if (first_problem.empty()) first_problem = frame.problem;
   }
-  return impl.EndSurvey(first_problem);
+  impl.EndSurvey(first_problem);
+  return true;
 }
 
 std::vector<std::string> RollingRun::Notes() const {
@@ -473,11 +474,7 @@ StereoRunFrame RollingRun::MeasureAgain(const SeriesFrame& before, std::int64_t 
     out.frame.problem = before.problem;
   }
   impl.Complete(at, &out.frame);
-  out.frame.index = before.index;
-  out.frame.time_s = before.time_s;
-  out.frame.left_id = before.left_id;
-  out.frame.right_id = before.right_id;
-  out.frame.dropped_before = before.dropped_before;
+  internal::NameAs(before, &out.frame);
   return out;
 }
 

@@ -209,11 +209,7 @@ ReportedFrame EvaluateAgain(const SeriesFrame& before, const SeriesReader& serie
                                            before.time_s);
     if (now.frame.problem.empty()) now.frame.surface.correlation = before.surface.correlation;
   }
-  now.frame.index = before.index;
-  now.frame.time_s = before.time_s;
-  now.frame.left_id = before.left_id;
-  now.frame.right_id = before.right_id;
-  now.frame.dropped_before = before.dropped_before;
+  NameAs(before, &now.frame);
   now.motion = evaluation->Summarise(now.frame);
   now.summary.grid_points = now.motion->grid_points;
   now.summary.valid_points = now.motion->valid_points;

@@ -69,6 +69,14 @@ MatchField MatchRecordOf(const StereoField& field) {
   return record;
 }
 
+void NameAs(const SeriesFrame& frame, SeriesFrame* same) {
+  same->index = frame.index;
+  same->time_s = frame.time_s;
+  same->left_id = frame.left_id;
+  same->right_id = frame.right_id;
+  same->dropped_before = frame.dropped_before;
+}
+
 StereoField FieldOf(const MatchField& record, const Image<Status>& status,
                     const PlanarField& like) {
   Image<Status> matched = status;

@@ -23,6 +23,9 @@ StrainField StrainRecordOf(AdaptiveStrain adaptive);
 DisplacementField AtRest(const Image<Status>& status);
 void ForgetNoise(StrainField& strain);
 
+// Which frame it is and when, as of `frame`.
+void NameAs(const SeriesFrame& frame, SeriesFrame* same);
+
 // The matches again, kOk where there are any, else as `status` has it; the grid as of `like`, whose
 // other images are not looked at.
 StereoField FieldOf(const MatchField& record, const Image<Status>& status, const PlanarField& like);
