@@ -168,6 +168,10 @@ const RightDelay& RollingRun::right_delay_used() const { return impl_->delay; }
 void RollingRun::Impl::EndSurvey(const std::string& first_problem) {
   rolling = survey->Finish();
   if (rolling.placed() > 0) survey->MoveBack(delay, &rolling);
+  if (rolling.refinement != options.survey.refinement) {
+    options.evaluation.refinement = rolling.refinement;
+    prepared.clear();
+  }
   if (rolling.frames.empty()) throw InputError("There are no frames to measure.");
   if (rolling.placed() == 0) {
     throw InputError(fmt::format("None of the {} frames is found on the wheel; the first one: {}.",

@@ -421,7 +421,15 @@ RollingWheel RollingSurvey::Finish() {
   Impl& impl = *impl_;
   impl.prepared.clear();
   impl.rows.Unwrap(&impl.frames);
+  const bool moved = std::any_of(impl.frames.begin(), impl.frames.end(), [](const auto& frame) {
+    return frame.right_from_left.has_value();
+  });
+  if (moved && impl.options.refinement == PoseRefinement::kWhenSignificant) {
+    impl.options.refinement = PoseRefinement::kAlways;
+    impl.rows.RefineAll(impl.wheel, &impl.frames);
+  }
   RollingWheel out;
+  out.refinement = impl.options.refinement;
   out.frames = std::move(impl.frames);
   out.grid = impl.grid;
   out.first_px = impl.first_px;

@@ -37,7 +37,9 @@ struct RollingSurveyOptions {
   double most_scatter_rad = 0.03;
   int most_points = 1500;  // kept of a frame, spread evenly
   int views_held = 4;      // reference images that are prepared at a time
-  // Of the right camera's pose since the reference image was taken, frame by frame.
+  // Of the right camera's pose since the reference image was taken, frame by frame. A camera that
+  // has moved beyond doubt in one frame shakes in the others too: kWhenSignificant then refines
+  // all.
   PoseRefinement refinement = PoseRefinement::kOff;
   RollingAnglesOptions angles;
   AngleSmootherOptions smoother;
@@ -139,6 +141,8 @@ struct RollingWheel {
   // the tags. `deformation` is as the surface alone tells it.
   CarcassTwist twist;
   RightDelay right_delay = {};  // that is taken out of the points, with its sigma
+  // With which the frames were told: kAlways also for kWhenSignificant, where the camera has moved.
+  PoseRefinement refinement = PoseRefinement::kOff;
 
   int placed() const;
 };

@@ -43,7 +43,7 @@ void EvaluationOptionSet::Declare(OptionTable& options, StrainOptionSet::Of of) 
   options.Add({.name = "refine-pose",
                .help = "when the pose of the right camera is refined from the matches of a frame: "
                        "off (only an alarm is given), significant (where it has moved beyond "
-                       "doubt), always",
+                       "doubt; of a rolling tyre in all frames if it has in one), always",
                .choices = {"off", "significant", "always"}},
               &refine_pose_);
   options.Add({.name = "no-strain", .help = "leave the strain out"}, &no_strain_);

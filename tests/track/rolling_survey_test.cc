@@ -174,9 +174,41 @@ TEST_F(RollingSurveyOfAnArc, FollowsARightCameraThatVibrates) {
   };
   EXPECT_GT(off(without), 0.1);
   EXPECT_LT(off(with), 0.3 * off(without));
-  // One that stands still keeps its pose.
-  EXPECT_FALSE(follows.Add(2, 0.2, rolling_->Pair(2).left, rolling_->Pair(2).right)
-                   .right_from_left.has_value());
+  // In one where it stands still nothing is beyond doubt; but it has moved, so that its pose there
+  // is not known better than it is told.
+  const RollingFrame still = follows.Add(2, 0.2, rolling_->Pair(2).left, rolling_->Pair(2).right);
+  EXPECT_FALSE(still.right_from_left.has_value());
+  const RollingWheel told = follows.Finish();
+  EXPECT_EQ(told.refinement, PoseRefinement::kAlways);
+  const RollingFrame& refined = told.frames[1];
+  ASSERT_TRUE(refined.right_from_left.has_value());
+  EXPECT_EQ(refined.right_from_left_moved.size(), 5U);
+  ASSERT_EQ(refined.points.size(), still.points.size());
+  EXPECT_NE(refined.points[0].point_mm, still.points[0].point_mm);
+  // As a survey says that refines all frames from the start (which finds matches from elsewhere).
+  options.refinement = PoseRefinement::kAlways;
+  RollingSurvey always(*reference_, options);
+  (void)always.Add(1, 0.1, pair.left, pair.right);
+  (void)always.Add(2, 0.2, rolling_->Pair(2).left, rolling_->Pair(2).right);
+  const RollingWheel same = always.Finish();
+  for (std::size_t f = 0; f < 2; ++f) {
+    EXPECT_NEAR(told.frames[f].angle_rad, same.frames[f].angle_rad, 1e-6);
+    EXPECT_LT((told.frames[f].points[0].point_mm - same.frames[f].points[0].point_mm).norm(), 0.01);
+  }
+}
+
+TEST_F(RollingSurveyOfAnArc, KeepsTheCalibratedPoseOfCamerasThatStandStill) {
+  RollingSurveyOptions options = Options();
+  options.refinement = PoseRefinement::kWhenSignificant;
+  RollingSurvey survey(*reference_, options);
+  for (int f = 1; f < 3; ++f) {
+    (void)survey.Add(f, 0.1 * f, rolling_->Pair(f).left, rolling_->Pair(f).right);
+  }
+  const RollingWheel rolling = survey.Finish();
+  EXPECT_EQ(rolling.refinement, PoseRefinement::kWhenSignificant);
+  for (const RollingFrame& frame : rolling.frames) {
+    EXPECT_FALSE(frame.right_from_left.has_value());
+  }
 }
 
 // Frames before only tell where to start.

@@ -176,6 +176,40 @@ void SurveyRows::FindAngles(const WheelReference& reference,
   }
 }
 
+StereoRig SurveyRows::TriangulateAnew(const WheelReference& reference, PoseRefinement refinement,
+                                      std::size_t f, RollingFrame* frame) {
+  const Rigid3 wheel_from_rig = reference.axis.RigFromWheel(0).Inverse();
+  StereoRig rig =
+      RigOfFrame(reference.rig, poses[f].view, poses[f].observations, refinement, frame);
+  std::vector<Eigen::Vector2d> left, right;
+  for (const RollingPoint& p : frame->points) {
+    left.push_back(p.left_px);
+    right.push_back(p.right_px);
+  }
+  const std::vector<Eigen::Vector3d> points = TriangulatePoints(rig, left, right);
+  for (std::size_t i = 0; i < points.size(); ++i) {
+    RollingPoint& p = frame->points[i];
+    p.point_mm = points[i];
+    const Eigen::Vector3d here = wheel_from_rig * p.point_mm;
+    RollingObservation& o = observations[f][i];
+    const double place_rad = MaterialAngle(here);
+    o.psi_rad -= std::remainder(place_rad - o.place_rad, kTurn_rad);
+    o.place_rad = place_rad;
+    o.y_mm = here.y();
+    o.radial_mm =
+        std::hypot(here.x(), here.z()) - std::hypot(p.undeformed_mm.x(), p.undeformed_mm.z());
+  }
+  return rig;
+}
+
+void SurveyRows::RefineAll(const WheelReference& reference, std::vector<RollingFrame>* frames) {
+  for (std::size_t f = 0; f < frames->size(); ++f) {
+    RollingFrame& frame = (*frames)[f];
+    if (frame.status != RollingFrameStatus::kPlaced || frame.right_from_left) continue;
+    (void)TriangulateAnew(reference, PoseRefinement::kAlways, f, &frame);
+  }
+}
+
 void SurveyRows::MoveBack(const WheelReference& reference, const RightDelay& delay,
                           PoseRefinement refinement, RollingWheel* wheel) {
   const Rigid3 wheel_from_rig = reference.axis.RigFromWheel(0).Inverse();
@@ -193,34 +227,22 @@ void SurveyRows::MoveBack(const WheelReference& reference, const RightDelay& del
     for (std::size_t i = 0; i < pose.observations.size(); ++i) {
       pose.observations[i].right += turn_rad * pose.right_flow_px[i];
     }
-    const StereoRig rig =
-        RigOfFrame(reference.rig, pose.view, pose.observations, refinement, &frame);
+    for (RollingPoint& p : frame.points) p.right_px += turn_rad * p.right_flow_px;
+    const StereoRig rig = TriangulateAnew(reference, refinement, f, &frame);
+    if (!mode) continue;
     std::vector<Eigen::Vector2d> left, right, right_px;
-    for (RollingPoint& p : frame.points) {
-      p.right_px += turn_rad * p.right_flow_px;
+    for (const RollingPoint& p : frame.points) {
       left.push_back(p.left_px);
       right.push_back(p.right_px);
       right_px.push_back(-frame.speed_rad_s * delay.sigma_s * p.right_flow_px);
     }
-    const std::vector<Eigen::Vector3d> points = TriangulatePoints(rig, left, right);
-    std::vector<Eigen::Vector3f> moved(mode ? points.size() : 0);
-    if (mode) FillModeOfMatches(rig, left, right, right_px, 0, moved);
-    for (std::size_t i = 0; i < points.size(); ++i) {
-      RollingPoint& p = frame.points[i];
-      p.point_mm = points[i];
-      const Eigen::Vector3d here = wheel_from_rig * p.point_mm;
-      RollingObservation& o = observations[f][i];
-      const double place_rad = MaterialAngle(here);
-      o.psi_rad -= std::remainder(place_rad - o.place_rad, kTurn_rad);
-      o.place_rad = place_rad;
-      o.y_mm = here.y();
-      o.radial_mm =
-          std::hypot(here.x(), here.z()) - std::hypot(p.undeformed_mm.x(), p.undeformed_mm.z());
-      if (!mode) continue;
+    std::vector<Eigen::Vector3f> moved(frame.points.size());
+    FillModeOfMatches(rig, left, right, right_px, 0, moved);
+    for (std::size_t i = 0; i < moved.size(); ++i) {
       const double there_rad =
-          MaterialAngle(wheel_from_rig * (points[i] + moved[i].cast<double>()));
+          MaterialAngle(wheel_from_rig * (frame.points[i].point_mm + moved[i].cast<double>()));
       psi_along[f](static_cast<Eigen::Index>(i), reference.delay_mode) -=
-          static_cast<float>(std::remainder(there_rad - place_rad, kTurn_rad));
+          static_cast<float>(std::remainder(there_rad - observations[f][i].place_rad, kTurn_rad));
     }
   }
   wheel->right_delay = delay;

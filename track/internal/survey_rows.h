@@ -42,6 +42,9 @@ struct SurveyRows {
 
   // Angles go on beyond a turn, at the speed that the wheel had.
   void Unwrap(std::vector<RollingFrame>* frames);
+  // The poses of the cameras in the frames that have kept the calibrated one, and the points that
+  // follow.
+  void RefineAll(const WheelReference& reference, std::vector<RollingFrame>* frames);
   // The angles of frames that are placed, out of the observations and the tags on the rim.
   void FindAngles(const WheelReference& reference, const RollingAnglesOptions& angles,
                   const AngleSmootherOptions& smoother, RollingWheel* wheel) const;
@@ -50,6 +53,11 @@ struct SurveyRows {
   // frame that is placed has no speed.
   void MoveBack(const WheelReference& reference, const RightDelay& delay, PoseRefinement refinement,
                 RollingWheel* wheel);
+
+ private:
+  // The pose of a frame's cameras and its points by its pixels as they are now; returns the rig.
+  StereoRig TriangulateAnew(const WheelReference& reference, PoseRefinement refinement,
+                            std::size_t f, RollingFrame* frame);
 };
 
 }  // namespace plumbline::internal
