@@ -138,16 +138,6 @@ double ChiSquareBound(int degrees, double share) {
   return degrees * std::pow(1 - spread + low * std::sqrt(spread), 3);
 }
 
-// How far an observation lies from what all others say, squared, in their common sigmas.
-double Contradiction(const PoseObservation& frame, const SmoothedPose& smoothed, bool taken) {
-  const Eigen::Index n = Entries(frame);
-  const Eigen::VectorXd residual = (frame.pose - smoothed.pose).head(n);
-  const Eigen::MatrixXd R = frame.cov.topLeftCorner(n, n);
-  // With its own part taken out of the smoothed pose, where that is in it.
-  const Eigen::MatrixXd common = R + (taken ? -1 : 1) * smoothed.cov.topLeftCorner(n, n) + 1e-6 * R;
-  return residual.dot(common.ldlt().solve(residual));
-}
-
 // Smooths, and leaves the observation out (or takes it back) about which the rest is surest that it
 // was wrong, until there is none.
 std::vector<SmoothedPose> SmoothWithout(std::span<const PoseObservation> frames,
@@ -163,7 +153,8 @@ std::vector<SmoothedPose> SmoothWithout(std::span<const PoseObservation> frames,
     for (std::size_t k = 0; k < frames.size(); ++k) {
       if (frames[k].of == Of::kNothing) continue;
       const bool in = (*taken)[k] != 0;
-      const double ratio = Contradiction(frames[k], poses[k], in) / bounds[Entries(frames[k])];
+      const double ratio =
+          internal::Contradiction(frames[k], poses[k], in) / bounds[Entries(frames[k])];
       const double wrong = in ? ratio : 1 / ratio;
       if (wrong > worst) {
         worst = wrong;
@@ -206,9 +197,6 @@ RigRotationFrame FrameOf(const PoseObservation& frame, const SmoothedPose& smoot
   result.pose = smoothed.pose;
   result.errors = smoothed.errors;
   result.cov_random = smoothed.cov;
-  for (const RigPose& common : smoothed.errors.common) {
-    result.cov_random += common * common.transpose();
-  }
   result.along_modes = smoothed.along_modes;
   result.sigma_random = result.cov_random.diagonal().cwiseMax(0).cwiseSqrt();
   for (const RigPose& change : smoothed.along_modes) {
@@ -216,16 +204,17 @@ RigRotationFrame FrameOf(const PoseObservation& frame, const SmoothedPose& smoot
   }
   result.sigma_calibration = result.sigma_calibration.cwiseSqrt();
   result.problem = frame.why;
+  // What frames have in common, others do not take off.
+  const Eigen::Matrix3d alone = internal::PoseWithoutCommon(smoothed.errors.cov);
   if (frame.of != Of::kNothing && !taken) {
     result.from = From::kOutlier;
     result.problem = "the other frames contradict what this one says by itself: left out";
   } else if (Entries(frame) > 1) {
     result.from = frame.over_obstacle ? From::kObstacle : From::kPlane;
-    result.lean =
-        1 - (smoothed.cov(0, 0) / frame.cov(0, 0) + smoothed.cov(1, 1) / frame.cov(1, 1)) / 2;
+    result.lean = 1 - (alone(0, 0) / frame.cov(0, 0) + alone(1, 1) / frame.cov(1, 1)) / 2;
   } else if (frame.of == Of::kPitch) {
     result.from = From::kPitch;
-    result.lean = 1 - smoothed.cov(0, 0) / frame.cov(0, 0) / 2;
+    result.lean = 1 - alone(0, 0) / frame.cov(0, 0) / 2;
   }
   result.lean = std::clamp(result.lean, 0.0, 1.0);
   const RigPose sigma =
@@ -400,11 +389,7 @@ Eigen::Matrix3d RandomCovariance(std::span<const RigRotationFrame> frames, std::
                                  std::size_t b) {
   PoseErrors::Matrix cov = frames[b].errors.cov;
   for (std::size_t k = b; k-- > a;) cov = (frames[k].errors.gain * cov).eval();
-  Eigen::Matrix3d of_poses = internal::PoseOf(cov);
-  for (std::size_t c = 0; c < kPoseCommon; ++c) {
-    of_poses += frames[a].errors.common[c] * frames[b].errors.common[c].transpose();
-  }
-  return of_poses;
+  return internal::PoseOf(cov);
 }
 
 double SigmaOfTurn(std::span<const RigRotationFrame> frames, std::size_t a, std::size_t b) {

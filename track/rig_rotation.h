@@ -36,8 +36,9 @@ Rigid3 GroundOf(const RigPose& pose, const WheelAxis& axis);
 // How that frame turns and shifts (as UncertainFrame::cov_random has it) with the pose.
 Eigen::Matrix<double, 6, 3> GroundJacobian(const RigPose& pose, const WheelAxis& axis);
 
-// Errors that are the same in all frames: of a lasting asymmetry or of the carcass's thickness, and
-// of the edge of narrow contacts.
+// Errors that are the same in all frames, in sigmas, while what one sigma does differs from frame
+// to frame: of a lasting asymmetry or of the carcass's thickness, and of the edge of narrow
+// contacts. Where a bar moves through the contact, a stiff arm tells them.
 inline constexpr std::size_t kPoseCommon = 2;
 
 // The flat top of an obstacle that the tyre stands on. How high it is above the ground is not
@@ -100,17 +101,17 @@ struct RigRotationOptions {
 };
 
 // How the random errors of smoothed frames hang together. What is smoothed is a state (pitch, its
-// rate, roll, height, its rate, height of the top stood on) that follows from the one before and
-// noise: with the smoother's gains G the errors of two frames a < b have
+// rate, roll, height, its rate, height of the top stood on, and the errors that frames have in
+// common, in their sigmas) that follows from the one before and noise: with the smoother's gains G
+// the errors of two frames a < b have
 //   cov(x_a, x_b) = G_a G_a+1 ... G_b-1 P_b
 // (the lag-one covariance smoother, Shumway and Stoffer, J. Time Series Analysis 3(4), 1982,
-// further on). Errors that all frames have in common come on top.
+// further on).
 struct PoseErrors {
-  static constexpr int kState = 6;
+  static constexpr int kState = 6 + static_cast<int>(kPoseCommon);
   using Matrix = Eigen::Matrix<double, kState, kState>;
   Matrix cov = Matrix::Zero();   // P, of the state
   Matrix gain = Matrix::Zero();  // G, to the next frame
-  std::array<RigPose, kPoseCommon> common = {RigPose::Zero(), RigPose::Zero()};
 };
 
 struct RigRotationFrame {

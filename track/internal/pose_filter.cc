@@ -28,8 +28,7 @@ int AnglesAndHeight(const PoseObservation& frame) {
   }
 }
 
-constexpr int kTop = 5;
-constexpr Eigen::Index kFixedColumns = 1 + kPoseCommon;
+constexpr int kTop = 5, kCommon = 6;
 
 struct Prediction {
   PoseStateCov F = PoseStateCov::Identity(), Q = PoseStateCov::Zero();
@@ -39,7 +38,7 @@ struct Prediction {
 Prediction Predict(const PoseModel& model, const PoseObservation& from, const PoseObservation& to) {
   const double dt_s = std::abs(to.time_s - from.time_s);
   Prediction p;
-  p.Q.diagonal().array() = kLeastNoise * dt_s;
+  p.Q.diagonal().head<kCommon>().array() = kLeastNoise * dt_s;
   p.Q(2, 2) += model.noise[1] * model.noise[1] * dt_s;
   const auto drive = [&](int at, double noise) {
     const double q = noise * noise;
@@ -67,7 +66,7 @@ Prediction Predict(const PoseModel& model, const PoseObservation& from, const Po
   return p;
 }
 
-// The state's columns: the value, what each common error does to it, and each calibration mode.
+// The state's columns: the value, and what each calibration mode does to it.
 using Columns = Eigen::Matrix<double, kPoseState, Eigen::Dynamic>;
 
 struct Gaussian {
@@ -87,6 +86,7 @@ Gaussian Start(const PoseModel& model, Eigen::Index columns) {
   start.cov(4, 4) = rate_mm_s * rate_mm_s;
   start.mean(kTop, 0) = model.obstacle_mm;
   start.cov(kTop, kTop) = model.sigma_obstacle_mm * model.sigma_obstacle_mm;
+  start.cov.diagonal().tail<kPoseCommon>().setOnes();
   return start;
 }
 
@@ -100,16 +100,29 @@ struct Innovation {
   Eigen::MatrixXd H, R, S, residual;  // residual: a row an observed number, as the state's columns
 };
 
+// What the state makes of a frame's numbers.
+Eigen::MatrixXd SeenOf(const PoseObservation& frame) {
+  const Eigen::Index n = AnglesAndHeight(frame);
+  Eigen::MatrixXd H = Eigen::MatrixXd::Zero(n + (frame.top ? 1 : 0), kPoseState);
+  for (Eigen::Index k = 0; k < n; ++k) H(k, kPlaceOf[k]) = 1;
+  for (std::size_t c = 0; c < kPoseCommon; ++c) {
+    const auto column = kCommon + static_cast<Eigen::Index>(c);
+    H.col(column).head(n) = frame.common[c].head(n);
+    if (frame.top) H(n, column) = frame.top->common_mm[c];
+  }
+  if (!frame.top) return H;
+  H(n, kPlaceOf[2]) = 1;
+  H(n, kTop) = -1;
+  return H;
+}
+
 Innovation Innovate(const PoseObservation& frame, const Gaussian& state) {
-  const Eigen::Index n = AnglesAndHeight(frame), rows = n + (frame.top ? 1 : 0);
+  const Eigen::Index n = AnglesAndHeight(frame);
   Innovation in;
-  in.H = Eigen::MatrixXd::Zero(rows, kPoseState);
-  in.R = Eigen::MatrixXd::Zero(rows, rows);
-  for (Eigen::Index k = 0; k < n; ++k) in.H(k, kPlaceOf[k]) = 1;
+  in.H = SeenOf(frame);
+  in.R = Eigen::MatrixXd::Zero(in.H.rows(), in.H.rows());
   in.R.topLeftCorner(n, n) = frame.cov.topLeftCorner(n, n);
   if (frame.top) {
-    in.H(n, kPlaceOf[2]) = 1;
-    in.H(n, kTop) = -1;
     in.R.col(n).head(n) = frame.top->cov.head(n);
     in.R.row(n).head(n) = frame.top->cov.head(n).transpose();
     in.R(n, n) = frame.top->cov[3];
@@ -121,12 +134,8 @@ Innovation Innovate(const PoseObservation& frame, const Gaussian& state) {
     if (frame.top) in.residual(n, column) += above_top_mm;
   };
   add(0, frame.pose, frame.top ? frame.top->below_axis_mm : 0);
-  if (in.residual.cols() == 1) return in;
-  for (std::size_t k = 0; k < kPoseCommon; ++k) {
-    add(1 + static_cast<Eigen::Index>(k), frame.common[k], frame.top ? frame.top->common_mm[k] : 0);
-  }
-  for (Eigen::Index m = kFixedColumns; m < in.residual.cols(); ++m) {
-    const auto mode = static_cast<std::size_t>(m - kFixedColumns);
+  for (Eigen::Index m = 1; m < in.residual.cols(); ++m) {
+    const auto mode = static_cast<std::size_t>(m - 1);
     add(m, frame.along_modes[mode], frame.top ? frame.top->along_modes_mm[mode] : 0);
   }
   return in;
@@ -183,6 +192,25 @@ PoseLikelihood LikelihoodOf(std::span<const PoseObservation> frames, const PoseM
   return result;
 }
 
+double Contradiction(const PoseObservation& frame, const SmoothedPose& smoothed, bool taken) {
+  const Eigen::Index n = AnglesAndHeight(frame);
+  const Eigen::MatrixXd H = SeenOf(frame).topRows(n);
+  const Eigen::VectorXd residual = frame.pose.head(n) - H * smoothed.state;
+  const Eigen::MatrixXd R = frame.cov.topLeftCorner(n, n);
+  // With its own part taken out of the smoothed state, where that is in it.
+  const Eigen::MatrixXd both =
+      R + (taken ? -1 : 1) * (H * smoothed.errors.cov * H.transpose()) + 1e-6 * R;
+  return residual.dot(both.ldlt().solve(residual));
+}
+
+Eigen::Matrix3d PoseWithoutCommon(const PoseStateCov& cov) {
+  PoseStateCov without = cov;
+  const auto with_common = cov.rightCols<kPoseCommon>();
+  without -= with_common * cov.bottomRightCorner<kPoseCommon, kPoseCommon>().ldlt().solve(
+                               with_common.transpose());
+  return PoseOf(without);
+}
+
 std::vector<SmoothedPose> SmoothPoses(std::span<const PoseObservation> frames,
                                       const std::vector<std::uint8_t>& taken,
                                       const PoseModel& model) {
@@ -196,7 +224,7 @@ std::vector<SmoothedPose> SmoothPoses(std::span<const PoseObservation> frames,
   std::vector<Prediction> steps;
   for (std::size_t k = 0; k < frames.size(); ++k) {
     if (k == 0) {
-      predicted.push_back(Start(model, kFixedColumns + modes));
+      predicted.push_back(Start(model, 1 + modes));
     } else {
       steps.push_back(Predict(model, frames[k - 1], frames[k]));
       predicted.push_back(Advance(filtered.back(), steps.back()));
@@ -221,12 +249,8 @@ std::vector<SmoothedPose> SmoothPoses(std::span<const PoseObservation> frames,
       return RigPose(mean(0, column), mean(2, column), mean(3, column));
     };
     poses[k].pose = pick(0);
-    for (std::size_t c = 0; c < kPoseCommon; ++c) {
-      poses[k].errors.common[c] = pick(1 + static_cast<Eigen::Index>(c));
-    }
-    for (Eigen::Index m = 0; m < modes; ++m) {
-      poses[k].along_modes.push_back(pick(kFixedColumns + m));
-    }
+    for (Eigen::Index m = 0; m < modes; ++m) poses[k].along_modes.push_back(pick(1 + m));
+    poses[k].state = smoothed[k].mean.col(0);
     poses[k].errors.cov = smoothed[k].cov;
     poses[k].cov = PoseOf(smoothed[k].cov);
   }

@@ -16,6 +16,8 @@ using PoseStateCov = PoseErrors::Matrix;
 // Pitch, roll and height out of it.
 inline constexpr int kPlaceOf[3] = {0, 2, 3};
 Eigen::Matrix3d PoseOf(const PoseStateCov& cov);
+// The same as if the errors that all frames have in common were known.
+Eigen::Matrix3d PoseWithoutCommon(const PoseStateCov& cov);
 
 struct PoseModel {
   bool with_rate = false;
@@ -38,7 +40,8 @@ PoseLikelihood LikelihoodOf(std::span<const PoseObservation> frames, const PoseM
 
 struct SmoothedPose {
   RigPose pose = RigPose::Zero();
-  Eigen::Matrix3d cov = Eigen::Matrix3d::Zero();  // without what is common
+  PoseState state = PoseState::Zero();            // that `pose` is of
+  Eigen::Matrix3d cov = Eigen::Matrix3d::Zero();  // random
   PoseErrors errors;
   std::vector<RigPose> along_modes;
 };
@@ -47,5 +50,9 @@ struct SmoothedPose {
 std::vector<SmoothedPose> SmoothPoses(std::span<const PoseObservation> frames,
                                       const std::vector<std::uint8_t>& taken,
                                       const PoseModel& model);
+
+// How far an observation lies from what all others say, squared, in their common sigmas. taken:
+// whether it is in the smoothed pose.
+double Contradiction(const PoseObservation& frame, const SmoothedPose& smoothed, bool taken);
 
 }  // namespace plumbline::internal
