@@ -23,6 +23,7 @@
 #include "calib/triangulate.h"
 #include "match/correlation_area.h"
 #include "track/right_flow.h"
+#include "track/subset_smoothing.h"
 #include "track/surface_motion.h"
 #include "track/surface_plane.h"
 
@@ -101,6 +102,7 @@ struct SurfaceEvaluation::Impl {
   StereoRig rig;
   StereoField reference;
   NeighbourCorrelation neighbours;
+  SubsetSmoothing smoothing;
   SurfaceEvaluationOptions options;
   ModeTriangulation modes;
   internal::RigWatch watch;
@@ -126,6 +128,7 @@ SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCo
     : rig(r),
       reference(std::move(field)),
       neighbours(std::move(n)),
+      smoothing(reference.left),
       options(o),
       modes(r),
       watch(r, {.refinement = o.refinement, .limits = {}}) {
@@ -215,6 +218,7 @@ StereoSurface SurfaceEvaluation::Impl::SurfaceOf(const internal::RigWatch::Verdi
                                                  const Image<Eigen::Vector3f>& of_match,
                                                  const std::optional<MatchMode>& match_mode) const {
   StereoSurface surface = TriangulateField(verdict.rig, field, of_match, options.epipolar);
+  surface.instant.cov_left_out_mm2 = smoothing.LeftOut(reference, field, surface.instant, of_match);
   AddModes(field, verdict, match_mode, surface);
   return surface;
 }

@@ -54,6 +54,12 @@ std::array<Part, 2> PartsOf(const SurfaceState& instant, double sign) {
           Part{&instant.d_right, &instant.scale_right, &instant.share_right, sign}};
 }
 
+// What the subsets leave out of a point.
+Eigen::Matrix3d LeftOutAt(const SurfaceState& instant, std::size_t i) {
+  return instant.cov_left_out_mm2.empty() ? Eigen::Matrix3d::Zero().eval()
+                                          : CovarianceOf(instant.cov_left_out_mm2.data()[i]);
+}
+
 // Of a point at q from the centroid: what rotation and translation do to it.
 Eigen::Matrix<double, 3, 6> RigidJacobian(const Eigen::Vector3d& q) {
   Eigen::Matrix<double, 3, 6> J;
@@ -80,7 +86,8 @@ SurfaceMotion MotionBetween(const SurfaceState& from, const SurfaceState& to,
     if (!moved.allFinite()) return;
     motion.value_mm.data()[i] = moved;
     motion.cov_random_mm2.data()[i] =
-        TriangleOf(CovarianceOfSum(parts, i, CovarianceOf(cov_px2.data()[i])));
+        TriangleOf(Eigen::Matrix3d(CovarianceOfSum(parts, i, CovarianceOf(cov_px2.data()[i])) +
+                                   LeftOutAt(from, i) + LeftOutAt(to, i)));
     if (modes == 0) return;
     Eigen::Vector3f variance = Eigen::Vector3f::Zero();
     for (std::size_t k = 0; k < modes; ++k) {
@@ -96,7 +103,8 @@ Image<Vector6f> CovarianceOf(const SurfaceState& instant, const Image<Eigen::Vec
   const auto parts = PartsOf(instant, 1);
   ForEachIndex(cov.pixel_count(), [&](std::size_t i) {
     if (!instant.point_mm.data()[i].allFinite()) return;
-    cov.data()[i] = TriangleOf(CovarianceOfSum(parts, i, CovarianceOf(cov_px2.data()[i])));
+    cov.data()[i] = TriangleOf(Eigen::Matrix3d(
+        CovarianceOfSum(parts, i, CovarianceOf(cov_px2.data()[i])) + LeftOutAt(instant, i)));
   });
   return cov;
 }

@@ -13,13 +13,14 @@ namespace plumbline {
 // missing at either instant.
 struct SurfaceMotion {
   Image<Eigen::Vector3d> value_mm;
-  // From independent noise: mm^2, xx xy xz yy yz zz.
+  // From independent noise, and what subsets leave out: mm^2, xx xy xz yy yz zz.
   Image<Eigen::Matrix<float, 6, 1>> cov_random_mm2;
   Image<Eigen::Vector3f> sigma_calibration_mm;  // NaN where the modes are unknown
 };
 
 // From one instant to another, both in the same frame. All four matches are counted, with the noise
-// of the reference subset that they share; and what each calibration mode does to both ends.
+// of the reference subset that they share; what subsets leave out at either end; and what each
+// calibration mode does to both.
 [[nodiscard]] SurfaceMotion MotionBetween(const SurfaceState& from, const SurfaceState& to,
                                           const Image<Eigen::Vector3f>& cov_px2);
 

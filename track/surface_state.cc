@@ -260,6 +260,11 @@ SurfaceState InFrame(const SurfaceState& in_rig, const MeasurementFrame& frame) 
     told.point_mm.data()[i] = here;
     told.d_left.data()[i] = turn * in_rig.d_left.data()[i];
     told.d_right.data()[i] = turn * in_rig.d_right.data()[i];
+    if (!told.cov_left_out_mm2.empty()) {
+      Eigen::Matrix<float, 6, 1>& left_out = told.cov_left_out_mm2.data()[i];
+      left_out = TriangleOf(Eigen::Matrix3d(from_rig.rotation * CovarianceOf(left_out) *
+                                            from_rig.rotation.transpose()));
+    }
     for (std::size_t k = 0; k < modes; ++k) {
       const Eigen::Vector3d moved = point + in_rig.along_modes_mm[k].data()[i].cast<double>();
       told.along_modes_mm[k].data()[i] = (frame.along_modes[k] * moved - here).cast<float>();

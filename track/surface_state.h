@@ -28,6 +28,9 @@ struct SurfaceState {
   Image<Eigen::Matrix<float, 3, 2>> d_left, d_right;
   Image<float> scale_left, scale_right;
   Image<float> share_left, share_right;
+  // Covariance of what the subsets' shape functions do not follow (SubsetSmoothing; mm^2, xx xy xz
+  // yy yz zz). Empty: not told.
+  Image<Eigen::Matrix<float, 6, 1>> cov_left_out_mm2;
   // What one standard deviation of each calibration mode does to the points (mm). Empty: unknown.
   std::vector<Image<Eigen::Vector3f>> along_modes_mm;
 
