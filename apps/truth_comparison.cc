@@ -12,11 +12,16 @@
 namespace plumbline {
 namespace {
 
+// About the wheel, and what was claimed for it (both parts).
+struct DisplacementError {
+  Eigen::Vector3d value_mm, sigma_mm;
+};
+
 // The points that both sides have, in the frame of the measured positions.
 struct Pairs {
   std::vector<Eigen::Vector3d> measured, truth;
   std::vector<Eigen::Vector3d> sigma_random, sigma_calibration;
-  std::vector<Eigen::Vector3d> displacement_error;  // of those that have one from the wheel
+  std::vector<DisplacementError> displacement;  // of those that have one from the wheel
   std::int64_t unfounded = 0;
 };
 
@@ -31,6 +36,21 @@ Eigen::Vector3d AboutTheWheel(const Eigen::Vector3d& displacement, const Eigen::
   const Eigen::Vector3d here = from_axis(at);
   return {from_axis(at - displacement).norm() - here.norm(),
           displacement.dot(wheel.axis.cross(here.normalized())), displacement.dot(wheel.axis)};
+}
+
+// As if the errors along the axes of the frame were independent.
+Eigen::Vector3d SigmaAboutTheWheel(const SeriesFrame& frame, std::size_t i) {
+  const Eigen::Vector3d& axis = frame.wheel.axis;
+  Eigen::Vector3d from = frame.surface.position_mm.data()[i].cast<double>() - frame.wheel.centre_mm;
+  from = (from - axis * axis.dot(from)).normalized();
+  const auto squares = [](const Eigen::Vector3f& sigma) -> Eigen::Vector3d {
+    return sigma.allFinite() ? sigma.cast<double>().cwiseAbs2().eval() : Eigen::Vector3d::Zero();
+  };
+  const Eigen::Vector3d variance = squares(frame.displacement.sigma_random_mm.data()[i]) +
+                                   squares(frame.displacement.sigma_calibration_mm.data()[i]);
+  Eigen::Matrix3d about;
+  about << from.transpose(), axis.cross(from).transpose(), axis.transpose();
+  return (about.cwiseAbs2() * variance).cwiseSqrt();
 }
 
 Pairs PairUp(const SeriesFrame& frame, const Image<Eigen::Vector2f>& grid_px,
@@ -66,10 +86,11 @@ Pairs PairUp(const SeriesFrame& frame, const Image<Eigen::Vector2f>& grid_px,
     pairs.sigma_random.emplace_back(surface.sigma_random_mm.data()[i].cast<double>());
     pairs.sigma_calibration.emplace_back(surface.sigma_calibration_mm.data()[i].cast<double>());
     if (!on_wheel || !frame.displacement.value_mm.data()[i].allFinite()) continue;
-    pairs.displacement_error.push_back(
-        AboutTheWheel(frame.displacement.value_mm.data()[i].cast<double>(), pairs.measured.back(),
-                      frame.wheel) -
-        AboutTheWheel(displacement[i], *found[i], frame.wheel));
+    pairs.displacement.push_back(
+        {AboutTheWheel(frame.displacement.value_mm.data()[i].cast<double>(), pairs.measured.back(),
+                       frame.wheel) -
+             AboutTheWheel(displacement[i], *found[i], frame.wheel),
+         SigmaAboutTheWheel(frame, i)});
   }
   return pairs;
 }
@@ -111,16 +132,19 @@ void ComparePlanes(const GroundRecord& measured, const TrueFrame& truth, TruthCo
   }
 }
 
-void CompareDisplacements(const std::vector<Eigen::Vector3d>& errors, TruthComparison* result) {
+void CompareDisplacements(const std::vector<DisplacementError>& errors, TruthComparison* result) {
   if (errors.empty()) return;
   for (Eigen::Index k = 0; k < 3; ++k) {
-    double squares = 0;
+    double squares = 0, within = 0;
     std::vector<double> sizes;
-    for (const Eigen::Vector3d& error : errors) {
-      squares += error[k] * error[k];
-      sizes.push_back(std::abs(error[k]));
+    for (const DisplacementError& error : errors) {
+      squares += error.value_mm[k] * error.value_mm[k];
+      sizes.push_back(std::abs(error.value_mm[k]));
+      within += sizes.back() <= 2 * error.sigma_mm[k] ? 1 : 0;
     }
-    result->rms_displacement_mm[k] = std::sqrt(squares / static_cast<double>(errors.size()));
+    const auto count = static_cast<double>(errors.size());
+    result->rms_displacement_mm[k] = std::sqrt(squares / count);
+    result->within_two_sigma_displacement[k] = within / count;
     result->median_displacement_error_mm[k] = Median(std::move(sizes));
   }
 }
@@ -136,7 +160,7 @@ TruthComparison CompareWithTruth(const SeriesFrame& measured, const Image<Eigen:
   result.unfounded = pairs.unfounded;
   result.points = static_cast<std::int64_t>(pairs.measured.size());
   if (result.points < 3) return result;
-  CompareDisplacements(pairs.displacement_error, &result);
+  CompareDisplacements(pairs.displacement, &result);
   const Rigid3 align = RobustRigidMotion(pairs);
   double distance2 = 0, shape2 = 0, height2 = 0;
   std::vector<double> height, random, calibration;

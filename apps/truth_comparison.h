@@ -32,6 +32,8 @@ struct TruthComparison {
   // the part around the axis alone.
   Eigen::Vector3d rms_displacement_mm = Eigen::Vector3d::Constant(kNotMeasured);
   Eigen::Vector3d median_displacement_error_mm = Eigen::Vector3d::Constant(kNotMeasured);
+  // Share of the points whose error of displacement is within two claimed sigmas (both parts).
+  Eigen::Vector3d within_two_sigma_displacement = Eigen::Vector3d::Constant(kNotMeasured);
   // Ground plane: measured less true tilt about the rig's x and y axes, and what was claimed. NaN
   // without a plane.
   Eigen::Vector2d tilt_error_rad = Eigen::Vector2d::Constant(kNotMeasured);

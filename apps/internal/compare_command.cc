@@ -39,6 +39,7 @@ nlohmann::json JsonOf(std::int64_t index, const TruthComparison& c) {
   for (int k = 0; k < 3; ++k) {
     json["rms_displacement_mm"].push_back(Number(c.rms_displacement_mm[k]));
     json["median_displacement_error_mm"].push_back(Number(c.median_displacement_error_mm[k]));
+    json["within_two_sigma_displacement"].push_back(Number(c.within_two_sigma_displacement[k]));
   }
   for (int k = 0; k < 2; ++k) {
     json["tilt_error_deg"].push_back(Number(c.tilt_error_rad[k] * kDegrees));
@@ -66,11 +67,14 @@ std::string RowOf(std::int64_t index, const TruthComparison& c) {
   row += "\n";
   if (std::isfinite(c.rms_displacement_mm[0])) {
     row += fmt::format(
-        "      displacement from the wheel, rms (median): towards the axis {:.4f} ({:.4f}), around "
-        "it {:.4f} ({:.4f}), along it {:.4f} ({:.4f}) mm\n",
-        c.rms_displacement_mm[0], c.median_displacement_error_mm[0], c.rms_displacement_mm[1],
-        c.median_displacement_error_mm[1], c.rms_displacement_mm[2],
-        c.median_displacement_error_mm[2]);
+        "      displacement from the wheel, rms (median), mm; within 2 sigma: towards the axis "
+        "{:.4f} ({:.4f}), {:.1f} %; around it {:.4f} ({:.4f}), {:.1f} %; along it {:.4f} ({:.4f}), "
+        "{:.1f} %\n",
+        c.rms_displacement_mm[0], c.median_displacement_error_mm[0],
+        100 * c.within_two_sigma_displacement[0], c.rms_displacement_mm[1],
+        c.median_displacement_error_mm[1], 100 * c.within_two_sigma_displacement[1],
+        c.rms_displacement_mm[2], c.median_displacement_error_mm[2],
+        100 * c.within_two_sigma_displacement[2]);
   }
   return row;
 }

@@ -74,6 +74,23 @@ TEST(TruthComparison, FindsTheErrorOfTheDisplacementAboutTheWheel) {
   EXPECT_LT(off.rms_displacement_mm.y(), 0.05);
 }
 
+TEST(TruthComparison, TellsHowOftenDisplacementsAreWithinTheirSigmas) {
+  Measured measured(1e-9, 0.01);
+  std::mt19937 random(6);
+  std::normal_distribution<float> normal;
+  const auto axis = measured.frame.wheel.axis.cast<float>();
+  for (std::size_t i = 0; i < measured.frame.displacement.value_mm.pixel_count(); ++i) {
+    // Along the axis three times what is claimed, about it as much.
+    measured.frame.displacement.value_mm.data()[i] +=
+        0.02F * Eigen::Vector3f(normal(random), 0, normal(random)) + 0.06F * normal(random) * axis;
+    measured.frame.displacement.sigma_random_mm.data()[i].setConstant(0.02F);
+  }
+  const Eigen::Vector3d within = measured.Compare().within_two_sigma_displacement;
+  EXPECT_NEAR(within.x(), 0.954, 0.015);
+  EXPECT_NEAR(within.y(), 0.954, 0.015);
+  EXPECT_NEAR(within.z(), 0.495, 0.03);
+}
+
 // Twenty wrong points in thousands: the root mean square tells of them, the rest is as before.
 TEST(TruthComparison, FewWrongPointsDoNotTurnAllOthers) {
   Measured measured(0.01, 0.01);
