@@ -3,7 +3,6 @@
 #include <fmt/format.h>
 
 #include <algorithm>
-#include <charconv>
 #include <cmath>
 #include <limits>
 #include <span>
@@ -13,6 +12,7 @@
 #include "apps/internal/body_motion.h"
 #include "apps/internal/finite_median.h"
 #include "apps/internal/ground_record.h"
+#include "apps/internal/parse_numbers.h"
 #include "apps/internal/plane_points.h"
 #include "apps/internal/rig_watch.h"
 #include "apps/internal/surface_points.h"
@@ -34,20 +34,14 @@ constexpr double kNone = std::numeric_limits<double>::quiet_NaN();
 
 // "x,y,z".
 Eigen::Vector3d ParseDirection(const std::string& text) {
-  Eigen::Vector3d direction;
-  const char* at = text.data();
-  const char* const end = at + text.size();
-  for (int i = 0; i < 3; ++i) {
-    const auto [next, error] = std::from_chars(at, end, direction[i]);
-    const bool parted = i == 2 ? next == end : next != end && *next == ',';
-    if (error != std::errc() || !parted) {
-      throw UsageError(fmt::format(
-          "The axes of strain are material, ground or a direction x,y,z in the frame of the "
-          "positions, not '{}'.",
-          text));
-    }
-    at = next + 1;
+  const auto numbers = internal::ParseNumbers(text, ',');
+  if (!numbers || numbers->size() != 3) {
+    throw UsageError(fmt::format(
+        "The axes of strain are material, ground or a direction x,y,z in the frame of the "
+        "positions, not '{}'.",
+        text));
   }
+  const Eigen::Vector3d direction = Eigen::Map<const Eigen::Vector3d>(numbers->data());
   if (!(direction.norm() > 1e-9)) {
     throw UsageError("The direction of the strain's x axis has no length.");
   }
@@ -218,7 +212,10 @@ StereoSurface SurfaceEvaluation::Impl::SurfaceOf(const internal::RigWatch::Verdi
                                                  const Image<Eigen::Vector3f>& of_match,
                                                  const std::optional<MatchMode>& match_mode) const {
   StereoSurface surface = TriangulateField(verdict.rig, field, of_match, options.epipolar);
-  surface.instant.cov_left_out_mm2 = smoothing.LeftOut(reference, field, surface.instant, of_match);
+  if (options.count_left_out) {
+    surface.instant.cov_left_out_mm2 =
+        smoothing.LeftOut(reference, field, surface.instant, of_match);
+  }
   AddModes(field, verdict, match_mode, surface);
   return surface;
 }

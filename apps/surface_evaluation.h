@@ -39,6 +39,9 @@ struct SurfaceEvaluationOptions {
   // frame.
   std::string strain_axes = "material";
   bool remove_rigid_motion = false;
+  // Whether random sigmas count what subsets do not follow (SubsetSmoothing). Where noise is larger
+  // than was said some of it is counted as that.
+  bool count_left_out = true;
   bool point_covariance = false;
   bool matches = true;  // also deliver the matches, so that all can be evaluated again
   PoseRefinement refinement = PoseRefinement::kOff;

@@ -16,7 +16,7 @@ namespace plumbline {
 
 // When the pose of the right camera is refined from the matches of each frame.
 enum class PoseRefinement : std::uint8_t {
-  kOff = 0,          // never; an alarm is given all the same
+  kOff = 0,  // never; an alarm is given all the same
   // Where the camera has moved beyond doubt: in those frames, or, where all are known beforehand
   // (RollingSurvey), in all as soon as it has in one.
   kWhenSignificant,

@@ -271,7 +271,8 @@ StereoRunOptions NoiseCommand::RunOptions(std::uint64_t seed, const NoiseFile& n
   options.sequence.right_noise = noise.cameras.at("right").ForBits(bits);
   options.roi = Region();
   options.mask = Mask();
-  options.evaluation.matches = true;  // for the scatter in the images
+  options.evaluation.matches = true;          // for the scatter in the images
+  options.evaluation.count_left_out = false;  // what is asked is whether noise alone is as claimed
   return options;
 }
 

@@ -66,6 +66,7 @@ NoiseFloor Measure(int frames, double drift_mm, double claimed = 1) {
   options.sequence.field.correlator.noise = NoiseModel{variance, 0};
   options.sequence.right_noise = NoiseModel{2.25 * variance, 0};
   options.evaluation.strain_options.window_points = 5;
+  options.evaluation.count_left_out = false;
   StereoRun run(rig, Photograph(rig, 0, drift_mm), options);
   NoiseFloorMeasurement floor(run.Header(), run.correlation_area_points());
   for (int k = 0; k < frames; ++k) floor.Add(run.Measure(Photograph(rig, k, drift_mm), k).frame);
