@@ -25,24 +25,25 @@ struct Pairs {
   std::int64_t unfounded = 0;
 };
 
+Eigen::Vector3d FromAxis(const Eigen::Vector3d& place, const WheelRecord& wheel) {
+  const Eigen::Vector3d from = place - wheel.centre_mm;
+  return from - wheel.axis * wheel.axis.dot(from);
+}
+
 // Of a displacement: towards the wheel's axis, around and along it. The first is how much nearer
 // the point has come, which hangs on no wheel angle.
 Eigen::Vector3d AboutTheWheel(const Eigen::Vector3d& displacement, const Eigen::Vector3d& at,
                               const WheelRecord& wheel) {
-  const auto from_axis = [&](const Eigen::Vector3d& place) -> Eigen::Vector3d {
-    const Eigen::Vector3d from = place - wheel.centre_mm;
-    return from - wheel.axis * wheel.axis.dot(from);
-  };
-  const Eigen::Vector3d here = from_axis(at);
-  return {from_axis(at - displacement).norm() - here.norm(),
+  const Eigen::Vector3d here = FromAxis(at, wheel);
+  return {FromAxis(at - displacement, wheel).norm() - here.norm(),
           displacement.dot(wheel.axis.cross(here.normalized())), displacement.dot(wheel.axis)};
 }
 
 // As if the errors along the axes of the frame were independent.
 Eigen::Vector3d SigmaAboutTheWheel(const SeriesFrame& frame, std::size_t i) {
   const Eigen::Vector3d& axis = frame.wheel.axis;
-  Eigen::Vector3d from = frame.surface.position_mm.data()[i].cast<double>() - frame.wheel.centre_mm;
-  from = (from - axis * axis.dot(from)).normalized();
+  const Eigen::Vector3d from =
+      FromAxis(frame.surface.position_mm.data()[i].cast<double>(), frame.wheel).normalized();
   const auto squares = [](const Eigen::Vector3f& sigma) -> Eigen::Vector3d {
     return sigma.allFinite() ? sigma.cast<double>().cwiseAbs2().eval() : Eigen::Vector3d::Zero();
   };

@@ -2,7 +2,6 @@
 
 #include <fmt/format.h>
 
-#include <Eigen/Cholesky>
 #include <Eigen/Geometry>
 #include <algorithm>
 #include <array>
@@ -20,6 +19,7 @@
 namespace plumbline {
 namespace {
 
+using internal::AnglesAndHeight;
 using internal::LikelihoodOf;
 using internal::PoseLikelihood;
 using internal::PoseModel;
@@ -40,11 +40,6 @@ constexpr int kOutlierRounds = 20;
 double InWheel(const GroundPlane& plane, const WheelAxis& axis, Eigen::Vector3d* normal) {
   *normal = axis.rotation.transpose() * plane.normal;
   return plane.SignedDistance(axis.origin_in_rig_mm());
-}
-
-// How many entries of the pose a frame tells by itself.
-int Entries(const PoseObservation& frame) {
-  return frame.of == Of::kPlane ? 3 : frame.of == Of::kTurns ? 2 : frame.of == Of::kPitch ? 1 : 0;
 }
 
 // Likeliest where frames or their reverse say so: a bad first frame misleads the filter, and as the
@@ -94,7 +89,7 @@ PoseModel ModelOf(std::span<const PoseObservation> frames, const RigRotationOpti
     if (std::isfinite(walk.prior_sigma[k])) continue;
     walk.prior_sigma[k] = kWide[k];
     for (const PoseObservation& frame : frames) {
-      if (k < Entries(frame)) {
+      if (k < AnglesAndHeight(frame)) {
         walk.prior[k] = frame.pose[k];
         break;
       }
@@ -111,8 +106,9 @@ PoseModel ModelOf(std::span<const PoseObservation> frames, const RigRotationOpti
     held[static_cast<std::size_t>(k)] = given[k].has_value();
     if (given[k]) walk.noise[k] = *given[k] * (k < 2 ? kDegree : 1);
   }
-  const bool tells_roll = std::any_of(frames.begin(), frames.end(),
-                                      [](const PoseObservation& f) { return Entries(f) > 1; });
+  const bool tells_roll = std::any_of(frames.begin(), frames.end(), [](const PoseObservation& f) {
+    return AnglesAndHeight(f) > 1;
+  });
   if (!held[1] && !tells_roll) {
     held[1] = true;
     walk.noise[1] = kStiffRoll;
@@ -154,7 +150,7 @@ std::vector<SmoothedPose> SmoothWithout(std::span<const PoseObservation> frames,
       if (frames[k].of == Of::kNothing) continue;
       const bool in = (*taken)[k] != 0;
       const double ratio =
-          internal::Contradiction(frames[k], poses[k], in) / bounds[Entries(frames[k])];
+          internal::Contradiction(frames[k], poses[k], in) / bounds[AnglesAndHeight(frames[k])];
       const double wrong = in ? ratio : 1 / ratio;
       if (wrong > worst) {
         worst = wrong;
@@ -209,7 +205,7 @@ RigRotationFrame FrameOf(const PoseObservation& frame, const SmoothedPose& smoot
   if (frame.of != Of::kNothing && !taken) {
     result.from = From::kOutlier;
     result.problem = "the other frames contradict what this one says by itself: left out";
-  } else if (Entries(frame) > 1) {
+  } else if (AnglesAndHeight(frame) > 1) {
     result.from = frame.over_obstacle ? From::kObstacle : From::kPlane;
     result.lean = 1 - (alone(0, 0) / frame.cov(0, 0) + alone(1, 1) / frame.cov(1, 1)) / 2;
   } else if (frame.of == Of::kPitch) {

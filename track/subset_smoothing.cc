@@ -21,6 +21,7 @@ constexpr int kMostPerSide = 3;  // points of the window to each side
 // What is found has been smoothed, so that less of it is left out than of the motion itself: set so
 // that displacements of the virtual tyre on flat ground and over a bar are covered (order 2).
 constexpr double kSmoothedLess = 1.5;
+constexpr double kBeyondNoise = 1.5;  // what is less may be noise
 const Eigen::Vector3d kNowhere =
     Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
 
@@ -82,7 +83,7 @@ Eigen::Matrix2d Back(const PlanarField& match, std::size_t i) {
 }
 
 // How much of `seen` is beyond `noise`.
-Eigen::Matrix3d Beyond(const Eigen::Matrix3d& seen, Eigen::Matrix3d noise, double times) {
+Eigen::Matrix3d Beyond(const Eigen::Matrix3d& seen, Eigen::Matrix3d noise) {
   constexpr double kRoom = 1e-6;  // for directions in which noise has no part
   noise += kRoom * noise.trace() * Eigen::Matrix3d::Identity();
   const Eigen::LLT<Eigen::Matrix3d> root(noise);
@@ -91,16 +92,15 @@ Eigen::Matrix3d Beyond(const Eigen::Matrix3d& seen, Eigen::Matrix3d noise, doubl
   const Eigen::Matrix3d in_noise = root.matrixL().solve(half.transpose());
   const Eigen::SelfAdjointEigenSolver<Eigen::Matrix3d> eigen(in_noise);
   const Eigen::Vector3d beyond = eigen.eigenvalues().unaryExpr(
-      [times](double ratio) { return ratio > times ? kSmoothedLess * (ratio - 1) : 0; });
+      [](double ratio) { return ratio > kBeyondNoise ? kSmoothedLess * (ratio - 1) : 0; });
   const Eigen::Matrix3d axes = root.matrixL() * eigen.eigenvectors();
   return axes * beyond.asDiagonal() * axes.transpose();
 }
 
 }  // namespace
 
-SubsetSmoothing::SubsetSmoothing(const PlanarField& of, double beyond_noise)
-    : beyond_noise_(beyond_noise),
-      order_(of.order),
+SubsetSmoothing::SubsetSmoothing(const PlanarField& of)
+    : order_(of.order),
       step_px_(of.step_px),
       neighbours_(NeighbourCorrelation::OfOverlap(of.size(), of.step_px, of.subset_px, of.order)) {
   const Eigen::Matrix2Xd pixels = PixelsOf(of.subset_px);
@@ -197,8 +197,8 @@ Image<Vector6f> SubsetSmoothing::LeftOut(const StereoField& reference, const Ste
       noise += noise_mm2(row + offset.y(), column + offset.x());
     }
     const auto count = static_cast<double>(std::max<std::size_t>(1, there.size()));
-    out.data()[i] = there.empty() ? Vector6f::Zero().eval()
-                                  : TriangleOf(Beyond(seen / count, noise / count, beyond_noise_));
+    out.data()[i] =
+        there.empty() ? Vector6f::Zero().eval() : TriangleOf(Beyond(seen / count, noise / count));
   });
   return out;
 }

@@ -4,6 +4,7 @@
 #include <vector>
 
 #include "calib/image.h"
+#include "match/neighbour_correlation.h"
 #include "match/stereo_sequence.h"
 #include "track/surface_state.h"
 
@@ -20,11 +21,11 @@ namespace plumbline {
 // power that is left out (x^2 for orders 0 and 1, x^4 for order 2), over what the pixels' makes.
 //
 // How wrong points are there is the mean of d d' over the points within a subset, less what noise
-// makes of it; directions in which it is not `beyond_noise` times that count as nothing.
+// makes of it; directions in which it is not 1.5 times that count as nothing.
 class SubsetSmoothing {
  public:
   // Of the grid and the subsets of a field. Square subsets are taken for round ones as well.
-  explicit SubsetSmoothing(const PlanarField& of, double beyond_noise = 1.5);
+  explicit SubsetSmoothing(const PlanarField& of);
 
   // mm^2, xx xy xz yy yz zz, in the frame of `instant`: the rig's, of the same field. reference:
   // the pair at rest, of which order 1 and below takes over the curvature between the cameras
@@ -43,7 +44,6 @@ class SubsetSmoothing {
   };
   Difference Among(std::vector<Eigen::Vector2i> offsets) const;
 
-  double beyond_noise_;
   int order_, step_px_;
   double scale_ = 1;  // of what pixels' fits leave out over what whole windows of points do
   NeighbourCorrelation neighbours_;

@@ -14,20 +14,6 @@ constexpr double kAnywhere_rad = 0.35, kAnywhere_mm = 100;
 constexpr double kRate_rad_s = 0.35, kRate_mm_s = 200;
 constexpr double kLeastNoise = 1e-12;
 
-// Of pitch, roll, height, in this order; the height above a top comes on top.
-int AnglesAndHeight(const PoseObservation& frame) {
-  switch (frame.of) {
-    case PoseObservation::Of::kPlane:
-      return 3;
-    case PoseObservation::Of::kTurns:
-      return 2;
-    case PoseObservation::Of::kPitch:
-      return 1;
-    default:
-      return 0;
-  }
-}
-
 constexpr int kTop = 5, kCommon = 6;
 
 struct Prediction {
@@ -150,6 +136,19 @@ void Update(const Innovation& in, Gaussian* state) {
 }
 
 }  // namespace
+
+int AnglesAndHeight(const PoseObservation& frame) {
+  switch (frame.of) {
+    case PoseObservation::Of::kPlane:
+      return 3;
+    case PoseObservation::Of::kTurns:
+      return 2;
+    case PoseObservation::Of::kPitch:
+      return 1;
+    default:
+      return 0;
+  }
+}
 
 Eigen::Matrix3d PoseOf(const PoseStateCov& cov) {
   Eigen::Matrix3d of_pose;

@@ -19,6 +19,10 @@ Eigen::Matrix3d PoseOf(const PoseStateCov& cov);
 // The same as if the errors that all frames have in common were known.
 Eigen::Matrix3d PoseWithoutCommon(const PoseStateCov& cov);
 
+// How many of pitch, roll and height, in this order, a frame tells by itself; the height above a
+// top comes on top.
+int AnglesAndHeight(const PoseObservation& frame);
+
 struct PoseModel {
   bool with_rate = false;
   RigPose noise = RigPose::Zero();  // as in RigRotation
