@@ -51,6 +51,7 @@ install_packages() {
 configure_and_build() {  # build folder, CMake arguments...
   local folder=$1
   shift
+  export CCACHE_DEPEND=1  # the compiler's own list of headers: a file that is not in the cache is preprocessed once, not twice
   cmake -S . -B "$folder" -G Ninja -DCMAKE_CXX_COMPILER_LAUNCHER=ccache "$@" >/dev/null
   cmake --build "$folder"
 }
