@@ -12,9 +12,10 @@ TEST(InstalledPackage, IsFoundAndLinkedByAProjectOfItsOwn) {
   const std::string build = (folder / "build").string();
   auto result = testing::RunCommand("cmake --install " PLUMBLINE_BINARY_DIR " --prefix " + prefix);
   ASSERT_EQ(result.exit_code, 0) << result.output;
-  result =
-      testing::RunCommand("cmake -S " PLUMBLINE_SOURCE_DIR "/tests/consumer -B " + build +
-                          " -G Ninja -DCMAKE_PREFIX_PATH=" + prefix + " && cmake --build " + build);
+  result = testing::RunCommand(
+      "cmake -S " PLUMBLINE_SOURCE_DIR "/tests/consumer -B " + build +
+      " -G Ninja -DCMAKE_CXX_FLAGS=" PLUMBLINE_CONSUMER_FLAGS " -DCMAKE_PREFIX_PATH=" + prefix +
+      " && cmake --build " + build);
   ASSERT_EQ(result.exit_code, 0) << result.output;
   result = testing::RunCommand(build + "/consumer");
   EXPECT_EQ(result.exit_code, 0);
