@@ -102,7 +102,7 @@ class Velocities {
     v_.value_mm_s = v_.before_mm_s = v_.after_mm_s = v_.per_s = Image<Eigen::Vector3d>(size, kNone);
     v_.from = Image<VelocityFrom>(size, VelocityFrom::kNone);
     for (auto& shares : v_.shares) shares.resize(v_.per_s.pixel_count());
-    for (const int f : {kBefore, kAfter}) {
+    for (const int f : {kBefore, kNow, kAfter}) {
       if (triple.at(f) != nullptr) FindMaterial(f, options.reach_mm);
     }
     ForEachIndex(v_.per_s.pixel_count(), [&](std::size_t i) { SetVelocity(i); });
@@ -125,6 +125,7 @@ class Velocities {
       for (const auto& [place, share] : lookup.SharesAt(material.data()[i])) {
         SharesOf(f, i).push_back({place, share});
       }
+      if (f == kNow && SharesOf(f, i).empty()) SharesOf(f, i) = {{i, 1.0}};
     });
   }
 
@@ -137,7 +138,9 @@ class Velocities {
   void SetVelocity(std::size_t i) {
     bool before = !SharesOf(kBefore, i).empty(), after = !SharesOf(kAfter, i).empty();
     const double now_s = triple_.at(kNow)->time_s;
-    const Eigen::Vector3d now = triple_.ground(kNow).point_mm.data()[i];
+    // Told by the points around as those beside it are, so that a curve takes all of them to the
+    // same side: from one neighbour alone that would be taken for a motion.
+    const Eigen::Vector3d now = Interpolated(SharesOf(kNow, i), triple_.ground(kNow).point_mm);
     double since = 0, until = 0;
     if (before) {
       since = now_s - triple_.at(kBefore)->time_s;
@@ -166,7 +169,6 @@ class Velocities {
     if (before) value += w * v_.before_mm_s.data()[i];
     if (after) value += (1 - w) * v_.after_mm_s.data()[i];
     v_.value_mm_s.data()[i] = value;
-    SharesOf(kNow, i) = {{i, 1.0}};
   }
 
   // What an error does to the velocities that moves a point i of frame f by of(f, i).

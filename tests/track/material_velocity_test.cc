@@ -91,6 +91,26 @@ TEST(MaterialVelocity, IsOfSecondOrderInTimeFromBothNeighbours) {
   EXPECT_NEAR(one[0] / one[1], 2, 0.5);
 }
 
+// Beside a bar along the way the belt bends across the tyre, alike in all frames.
+TEST(MaterialVelocity, TakesNoBendForAMotionFromOneNeighbour) {
+  const RollingWheel wheel(At("cleat-offset-angle40"));
+  const auto now = wheel.Truth(5), after = wheel.Truth(6);
+  const MaterialVelocity velocity =
+      VelocityOfMaterial({nullptr, &now.frame, &after.frame}, wheel.neighbours());
+  double sideways = 0;
+  int count = 0;
+  for (std::size_t i = 0; i < velocity.value_mm_s.pixel_count(); ++i) {
+    if (velocity.from.data()[i] == VelocityFrom::kNone || now.frame.contact.data()[i] == 0 ||
+        std::abs(now.ground_mm.data()[i].x()) > 50) {
+      continue;
+    }
+    sideways += ErrorAt(velocity, now, 1400, i).y();
+    ++count;
+  }
+  ASSERT_GT(count, 50);
+  EXPECT_LT(std::abs(sideways / count), 0.1);
+}
+
 TEST(MaterialVelocity, LeavesTheRigsOwnTurnOut) {
   Scenario scenario = At("tyre-flat");
   std::get<TyreOptions>(scenario.surface).speed_swing_mm_s = 300;
