@@ -18,6 +18,7 @@
 #include "apps/internal/wheel_lean.h"
 #include "apps/internal/wheel_motion.h"
 #include "calib/error.h"
+#include "track/right_drift.h"
 #include "track/right_flow.h"
 #include "track/rolling_starts.h"
 #include "track/stored_matches.h"
@@ -103,7 +104,10 @@ struct RollingRun::Impl {
   void AddLean(std::size_t at, SeriesFrame* frame) const;
   std::vector<RigRotationFrame> Rotation(bool over_ground) const;  // empty: against the rig
 
-  std::optional<MatchMode> ModeOf(const Image<Eigen::Vector2d>& flow_px, double late_rad) const;
+  // late: by so much turn of the flow, or time of a velocity.
+  std::optional<MatchMode> ModeOf(const Image<Eigen::Vector2d>& flow_px, double late) const;
+  Image<Eigen::Vector2d> VelocityOf(const RightFlow& flow, const StereoField& field,
+                                    std::size_t at) const;
 
   RightDelay delay;
   WheelReference reference;
@@ -146,11 +150,17 @@ RollingRun::Impl::Prepared& RollingRun::Impl::Prepare(std::size_t view) {
 
 // What a delay of the right exposure that is one sigma longer does: the matches go back by more.
 std::optional<MatchMode> RollingRun::Impl::ModeOf(const Image<Eigen::Vector2d>& flow_px,
-                                                  double late_rad) const {
+                                                  double late) const {
   if (reference.delay_mode < 0) return std::nullopt;
   MatchMode mode{static_cast<std::size_t>(reference.delay_mode), flow_px};
-  for (Eigen::Vector2d& px : mode.right_px.values()) px *= -late_rad;
+  for (Eigen::Vector2d& px : mode.right_px.values()) px *= -late;
   return mode;
+}
+
+// How the right pixels of a frame's matches go with the material.
+Image<Eigen::Vector2d> RollingRun::Impl::VelocityOf(const RightFlow& flow, const StereoField& field,
+                                                    std::size_t at) const {
+  return RightVelocity(rolling, at, flow.Of(field.right), field.right);
 }
 
 RollingRun::RollingRun(WheelReference wheel, const RollingRunOptions& options)
@@ -315,8 +325,7 @@ StereoField RollingRun::Impl::Match(const StereoFrame& pair, std::size_t at) {
   const StereoField starts = StartsOf(rolling, at, by.sequence->reference().left);
   StereoField field = by.sequence->AddFrom(starts, pair.left, pair.right, pair.index);
   if (delay.value_s != 0) {
-    MoveAlong(by.flow->Of(field.right), -rolling.frames[at].speed_rad_s * delay.value_s,
-              &field.right);
+    MoveAlong(VelocityOf(*by.flow, field, at), -delay.value_s, &field.right);
   }
   RoundAsStored(&field);
   return field;
@@ -327,9 +336,8 @@ void RollingRun::Impl::EvaluatePlaced(const StereoField& field, double time_s, s
   Prepared& by = Prepare(rolling.frames[at].view);
   BodyMotion body = internal::TurnSinceView(reference, rolling, at);
   if (delay.any() || reference.delay_mode >= 0) {
-    body.match_mode =
-        ModeOf(by.flow->Of(field.right),
-               delay.sigma_s > 0 ? rolling.frames[at].speed_rad_s * delay.sigma_s : 0);
+    body.match_mode = delay.sigma_s > 0 ? ModeOf(VelocityOf(*by.flow, field, at), delay.sigma_s)
+                                        : ModeOf(by.flow->Of(field.right), 0);
   }
   const std::optional<UncertainFrame> ground = GroundAt(at);
   if (ground) {
@@ -406,7 +414,11 @@ void RollingRun::FindContact(RollingContactOptions contact) {
   impl.threshold_mm = contact.patch.threshold.threshold_mm;
   impl.convention = kSlipConventionNames[static_cast<std::size_t>(contact.slip.convention)];
   impl.contact = FindRollingContact(impl.reference, impl.rolling, contact);
-  if (!impl.survey) return;  // the delay was estimated before
+  if (!impl.survey) return;  // found with it before
+  if (const std::vector<GroundPitch> pitch = GroundPitchesOf(*impl.contact); !pitch.empty()) {
+    impl.survey->HoldToGround(pitch, &impl.rolling);
+    impl.contact = FindRollingContact(impl.reference, impl.rolling, contact);
+  }
   std::vector<std::uint8_t> steady;
   for (const RollingContactFrame& frame : impl.contact->frames) {
     steady.push_back(frame.patch.by == FramePatch::By::kLiftOff ? 1 : 0);

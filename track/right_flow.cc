@@ -40,10 +40,10 @@ RightFlow RightFlow::Every(int stride) const {
   return thinned;
 }
 
-void MoveAlong(const Image<Eigen::Vector2d>& flow_px, double turn_rad, PlanarField* right) {
+void MoveAlong(const Image<Eigen::Vector2d>& flow_px, double by, PlanarField* right) {
   for (std::size_t i = 0; i < flow_px.pixel_count(); ++i) {
     const Eigen::Vector2d& flow = flow_px.data()[i];
-    if (flow.allFinite()) right->displacement_px.data()[i] += turn_rad * flow;
+    if (flow.allFinite()) right->displacement_px.data()[i] += by * flow;
   }
 }
 

@@ -20,7 +20,7 @@ namespace plumbline {
 // left pixel q, and q(a) where the view would show the material after a turn by a,
 //   d r / d turn = (1 + gradient of the right match) d q / d a,
 // in which the deformation is contained. Above an obstacle, which goes with the ground, the shape
-// does not stay: there it holds as far as the surface is not steep.
+// does not stay: FindRightDrift() has what is then left.
 class RightFlow {
  public:
   // pair: the matches of the view's own images. Keeps no reference.
@@ -39,8 +39,9 @@ class RightFlow {
   Image<Eigen::Vector2d> left_px_;  // of the view, a radian
 };
 
-// The right matches moved by `turn_rad` times their flow, where that is known.
-void MoveAlong(const Image<Eigen::Vector2d>& flow_px, double turn_rad, PlanarField* right);
+// The right matches moved by so many times their flow (a turn) or velocity (a time), where that is
+// known.
+void MoveAlong(const Image<Eigen::Vector2d>& flow_px, double by, PlanarField* right);
 
 // The same of a point of the undeformed wheel, in the rig frame.
 Eigen::Vector2d RigidRightFlow(const WheelReference& wheel, const Eigen::Vector3d& in_rig_mm);

@@ -5,6 +5,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numbers>
 #include <stdexcept>
 #include <utility>
 
@@ -92,6 +93,7 @@ class ContactOfRun {
     const RollingFrame& frame = rolling_.frames[f];
     return clock_ ? frame.time_s : static_cast<double>(frame.index);
   }
+  void CountChangesOfSpeed(RollingContact* contact) const;
   double SigmaOf(std::size_t f) const;
 
   const WheelReference& reference_;
@@ -305,10 +307,14 @@ void ContactOfRun::Slip(std::size_t f, FrameTriple frames, RollingContact* conta
   wheel.axis = reference_.axis;
   wheel.cov_axis_random = reference_.cov_axis_random;
   wheel.axis_along_modes = reference_.axis_along_modes;
-  wheel.speed_rad_s =
-      internal::TurningOverGround(rolling_, first, f, last, grounds.front(), grounds.back());
-  wheel.speed_along_common_rad_s =
-      (root.row(0) - root.row(root.rows() - 3)) / (grounds.back().time_s - grounds.front().time_s);
+  std::vector<double> times;
+  for (const RigRotationFrame& ground : grounds) times.push_back(ground.time_s);
+  const std::vector<double> weights = internal::SlopeWeights(times, f - first);
+  wheel.speed_rad_s = internal::TurningOverGround(rolling_, first, f, grounds, weights);
+  wheel.speed_along_common_rad_s = Eigen::RowVectorXd::Zero(root.cols());
+  for (std::size_t k = 0; k < weights.size(); ++k) {
+    wheel.speed_along_common_rad_s -= weights[k] * root.row(3 * static_cast<Eigen::Index>(k));
+  }
   std::optional<MeasuredScalar> channel;
   if (options_.vehicle_speed_mm_s) {
     const double from_s = TimeOf(first), to_s = TimeOf(last);
@@ -346,6 +352,28 @@ void ContactOfRun::MoveToEnd(std::size_t first, std::size_t f, std::size_t last,
   slip.velocity_mm_s *= then.value;
 }
 
+// What a parabola through three places leaves out of the speed at the middle one: the second
+// derivative of the speed, as the frames beside tell it, times the product of both intervals over
+// six. Counted as an error: how the speed changes is known no better.
+void ContactOfRun::CountChangesOfSpeed(RollingContact* contact) const {
+  std::vector<double> left_out(contact->frames.size(), 0);
+  for (std::size_t f = 1; f + 1 < contact->frames.size(); ++f) {
+    const RollingSlip &before = contact->frames[f - 1].slip, &now = contact->frames[f].slip,
+                      &after = contact->frames[f + 1].slip;
+    if (!before.found || !now.found || !after.found) continue;
+    const double since_s = TimeOf(f) - TimeOf(f - 1), until_s = TimeOf(f + 1) - TimeOf(f);
+    const double bend = 2 *
+                        ((after.speed_mm_s.value - now.speed_mm_s.value) / until_s -
+                         (now.speed_mm_s.value - before.speed_mm_s.value) / since_s) /
+                        (since_s + until_s);
+    left_out[f] = bend * since_s * until_s / 6;
+  }
+  for (std::size_t f = 0; f < left_out.size(); ++f) {
+    double& sigma = contact->frames[f].slip.speed_mm_s.sigma_random;
+    sigma = std::hypot(sigma, left_out[f]);
+  }
+}
+
 RollingContact ContactOfRun::Find() {
   const std::size_t count = rolling_.frames.size();
   RollingContact contact;
@@ -376,6 +404,7 @@ RollingContact ContactOfRun::Find() {
     }
     before = std::exchange(now, std::move(after));
   }
+  if (clock_) CountChangesOfSpeed(&contact);
   return contact;
 }
 
@@ -388,6 +417,30 @@ UncertainFrame GroundFrameOf(const RigRotationFrame& rotation, const WheelAxis& 
   const Eigen::Matrix<double, 6, 3> J = GroundJacobian(rotation.pose, axis);
   ground.cov_random = J * rotation.cov_random * J.transpose();
   return ground;
+}
+
+std::vector<GroundPitch> GroundPitchesOf(const RollingContact& contact) {
+  constexpr double kStill_rad = 0.01 * std::numbers::pi / 180;
+  double low = std::numeric_limits<double>::infinity(), high = -low;
+  std::vector<std::size_t> known;
+  for (std::size_t f = 0; f < contact.frames.size(); ++f) {
+    const RigRotationFrame& rotation = contact.frames[f].rotation;
+    if (!rotation.found || !rotation.known[0]) continue;
+    known.push_back(f);
+    low = std::min(low, rotation.pose[0]);
+    high = std::max(high, rotation.pose[0]);
+  }
+  if (!(high - low > kStill_rad)) return {};
+  std::vector<GroundPitch> pitch;
+  for (std::size_t f = 0; f < contact.frames.size(); ++f) {
+    const auto next = std::lower_bound(known.begin(), known.end(), f);
+    std::size_t nearest = next == known.end() ? known.back() : *next;
+    if (next != known.begin() && f - *(next - 1) < nearest - f) nearest = *(next - 1);
+    const RigRotationFrame& rotation = contact.frames[nearest].rotation;
+    pitch.push_back(
+        {rotation.pose[0], nearest == f ? std::sqrt(rotation.cov_random(0, 0)) : high - low});
+  }
+  return pitch;
 }
 
 void RollingContactOptions::Check() const {

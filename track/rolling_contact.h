@@ -78,4 +78,9 @@ struct RollingContact {
                                                 const RollingWheel& rolling,
                                                 const RollingContactOptions& options);
 
+// How the ground stands about the axis in each frame, for RollingSurvey::HoldToGround(). A frame in
+// which it is not known has that of the nearest one, and a sigma as large as all that it turns by.
+// Empty where the ground keeps its pitch to 0.01 degrees, or no frame has any.
+[[nodiscard]] std::vector<GroundPitch> GroundPitchesOf(const RollingContact& contact);
+
 }  // namespace plumbline

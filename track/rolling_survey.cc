@@ -7,6 +7,7 @@
 #include <list>
 #include <numbers>
 #include <optional>
+#include <stdexcept>
 #include <utility>
 
 #include "calib/error.h"
@@ -19,6 +20,7 @@
 #include "track/internal/survey_rows.h"
 #include "track/internal/survey_tags.h"
 #include "track/internal/view_material.h"
+#include "track/right_drift.h"
 #include "track/right_flow.h"
 #include "track/rolling_starts.h"
 #include "track/surface_motion.h"
@@ -445,6 +447,16 @@ void RollingSurvey::MoveBack(const RightDelay& delay, RollingWheel* rolling) {
   Impl& impl = *impl_;
   impl.rows.MoveBack(impl.wheel, delay, impl.options.refinement, rolling);
   impl.rows.FindAngles(impl.wheel, impl.options.angles, impl.options.smoother, rolling);
+}
+
+void RollingSurvey::HoldToGround(std::vector<GroundPitch> pitch, RollingWheel* rolling) {
+  Impl& impl = *impl_;
+  if (pitch.size() != rolling->frames.size()) {
+    throw std::invalid_argument("RollingSurvey: a pitch of the ground is needed for each frame");
+  }
+  impl.rows.pitch = std::move(pitch);
+  impl.rows.FindAngles(impl.wheel, impl.options.angles, impl.options.smoother, rolling);
+  if (rolling->right_delay.any()) FindRightDrift(impl.wheel, rolling);  // beside the new speeds
 }
 
 }  // namespace plumbline

@@ -111,6 +111,9 @@ struct RollingFrame {
   // standard deviation of its errors along each of their independent directions.
   std::optional<Rigid3> right_from_left;
   std::vector<Rigid3> right_from_left_moved;
+  // How the right pixels go beside the wheel's turn (FindRightDrift; px/s), on RollingWheel::grid;
+  // empty where the frames beside do not tell it or it was not asked for.
+  Image<Eigen::Vector2d> right_drift_px_s;
   // What all else of the frame follows from: the view's points in both images, on
   // RollingWheel::grid, with the displacements as floats hold them and before a delay of the right
   // camera is taken out; and the wheel's angle near which it was looked for. Of a frame that is
@@ -133,8 +136,9 @@ struct RollingWheel {
   double sigma_common_rad = 0;
   // What one sigma of each calibration mode adds: (K, frames); NaN where a frame is not placed.
   Eigen::MatrixXd angle_along_modes_rad, speed_along_modes_rad_s;
-  // What one sigma of each random error of the reference adds to the measured angles: (errors,
-  // frames), see AnglesAlongReference().
+  // What one sigma of each random error that frames have in common adds to the measured angles:
+  // (errors, frames): of the reference (AnglesAlongReference), and of how far the deformation
+  // follows the ground (RollingSurvey::HoldToGround).
   Eigen::MatrixXd angle_along_reference_rad;
   double jerk_rad_s25 = 0, scatter = 1;  // of the smoother
   // Known where tags on the rim are seen: then all angles are the rim's, and sigma_common_rad is of
@@ -145,6 +149,11 @@ struct RollingWheel {
   PoseRefinement refinement = PoseRefinement::kOff;
 
   int placed() const;
+};
+
+// How the ground of a frame stands about the wheel's axis (the first entry of RigPose).
+struct GroundPitch {
+  double value_rad = 0, sigma_rad = 0;
 };
 
 // Takes the frames of a recording in order. Each is matched with the view nearest to its angle
@@ -190,6 +199,12 @@ class RollingSurvey {
   // WheelReference::delay_mode. Throws UsageError from the delay, InputError where a frame that is
   // placed has no time.
   void MoveBack(const RightDelay& delay, RollingWheel* rolling);
+
+  // After Finish(): the angles by a deformation that stays as it is over the ground, not under the
+  // rig. pitch: one a frame. Where the rig turns by a degree against the ground, what the contact
+  // draws along turns with it under the rig and would be taken for a twentieth of a degree of the
+  // wheel's turn. Throws std::invalid_argument where the numbers differ.
+  void HoldToGround(std::vector<GroundPitch> pitch, RollingWheel* rolling);
 
  private:
   struct Impl;

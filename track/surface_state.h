@@ -65,8 +65,12 @@ struct StereoSurface {
   Image<Status> status;
 };
 
-// The matches of the points in every `stride`-th row and column, with the joint covariance of both
-// pixels. Points without both matches are left out.
+// The points in every `stride`-th row and column that have both matches, as row * columns + column.
+[[nodiscard]] std::vector<std::size_t> ObservedPlaces(const StereoField& field,
+                                                      const Image<Eigen::Vector3f>& cov_px2,
+                                                      int stride);
+
+// The matches of the points at ObservedPlaces(), with the joint covariance of both pixels.
 [[nodiscard]] std::vector<StereoObservation> ObservationsOf(const StereoField& field,
                                                             const Image<Eigen::Vector3f>& cov_px2,
                                                             int stride);

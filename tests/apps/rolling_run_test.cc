@@ -19,6 +19,7 @@
 #include "io/wheel_file.h"
 #include "tests/support/held_pairs.h"
 #include "tests/support/plumbline_command.h"
+#include "tests/support/true_wheel.h"
 #include "tests/track/lifted_wheel.h"
 
 namespace plumbline {
@@ -232,6 +233,39 @@ TEST_F(RollingTyre, IsToldInTheFrameOfTheGroundUnderIt) {
   EXPECT_FALSE(foreign.patch.found || foreign.slip.found || foreign.deformation.found);
   EXPECT_EQ(foreign.rig_rotation.lean, 1);
   EXPECT_THAT(foreign.patch.problem, ::testing::Not(IsEmpty()));
+}
+
+TEST_F(RollingTyre, TurnsAsItDoesUnderARigThatSwings) {
+  Scenario scenario = LiftedWheel::ScenarioOf(4, 5 * kDegrees);
+  auto& tyre = std::get<TyreOptions>(scenario.surface);
+  tyre.lifted_mm = 0;
+  tyre.speed_swing_mm_s = 400;
+  scenario.motion.flexure_rad_per_m_s2 = 1.5 * kDegrees;
+  LiftedWheel swinging(scenario);
+  std::vector<StereoFrame> pairs;
+  for (int f = 0; f < swinging.frames(); ++f) {
+    pairs.push_back(PairOf(swinging.virtual_rig(), f, f));
+    pairs.back().time_s = swinging.virtual_rig().FrameTime(f);
+  }
+  RollingRun run(*reference_, Options());
+  HeldPairs recording(pairs);
+  ASSERT_TRUE(run.Survey(recording, [](std::int64_t, std::int64_t) { return true; }));
+  // Of the last turn over the ground since the first frame.
+  const auto off = [&] {
+    const auto pitch = [&](std::size_t f) {
+      const Eigen::Vector3d normal =
+          reference_->axis.rotation.transpose() *
+          swinging.virtual_rig().GroundFromRig(pairs[f].time_s).rotation.row(2).transpose();
+      return std::atan2(normal.x(), normal.z());
+    };
+    const double turn = run.wheel().frames[3].angle_rad - run.wheel().frames[0].angle_rad;
+    return std::abs(turn - (pitch(3) - pitch(0)) - swinging.Angle(3));
+  };
+  EXPECT_GT(off(), 0.05 * kDegrees);
+  RollingContactOptions contact;
+  contact.carcass = testing::TrueCarcass(swinging.virtual_rig(), reference_->axis, 5);
+  run.FindContact(contact);
+  EXPECT_LT(off(), 0.01 * kDegrees);
 }
 
 TEST_F(RollingTyre, SaysWhyNothingIsOnTheWheel) {

@@ -121,12 +121,60 @@ TEST_F(RollingContactOfAnArc, TheEndsOfARecordingHaveTheSpeedOfTheirOwnMoment) {
               1e-3 * then.effective_radius_mm.value);
   EXPECT_EQ(found.frames[2].slip.speed_mm_s.value, even.frames[2].slip.speed_mm_s.value);
   // An arm that swings turns the ground in the rig, not the wheel over the ground.
-  RigRotationFrame from, to;
-  from.time_s = 0;
-  to.time_s = 0.1;
-  to.pose[0] = 0.02;
-  const MeasuredScalar turning = internal::TurningOverGround(*survey_, 1, 2, 3, from, to);
-  EXPECT_NEAR(turning.value, survey_->frames[2].speed_rad_s - 0.2, 1e-12);
+  std::vector<RigRotationFrame> poses(3);
+  std::vector<double> times_s;
+  for (std::size_t k = 0; k < 3; ++k) {
+    poses[k].pose[0] = 0.2 * survey_->frames[1 + k].time_s;
+    times_s.push_back(survey_->frames[1 + k].time_s);
+  }
+  const std::vector<double> weights = internal::SlopeWeights(times_s, 1);
+  const MeasuredScalar turning = internal::TurningOverGround(*survey_, 1, 2, poses, weights);
+  EXPECT_NEAR(turning.value, survey_->frames[2].speed_rad_s - 0.2, 1e-3);
+}
+
+TEST_F(RollingContactOfAnArc, CountsWhatAParabolaLeavesOutOfASpeedThatChanges) {
+  const RollingContact even = FindRollingContact(*reference_, *survey_, Options());
+  // The same way in other times: the speed in the middle is less than that of the frames beside.
+  RollingWheel uneven = *survey_;
+  const double step_s = uneven.frames[1].time_s - uneven.frames[0].time_s;
+  for (RollingFrame& frame : uneven.frames) {
+    const double since_middle = frame.time_s - survey_->frames[3].time_s;
+    frame.time_s += since_middle * (1 - std::pow(since_middle / (8 * step_s), 2));
+  }
+  const RollingContact found = FindRollingContact(*reference_, uneven, Options());
+  const auto speed = [&](std::size_t f) { return found.frames[f].slip.speed_mm_s; };
+  ASSERT_GT(speed(2).value, 1.01 * speed(3).value);
+  const double left_out = (speed(2).value + speed(4).value - 2 * speed(3).value) / 6;
+  EXPECT_GT(speed(3).sigma_random, 0.99 * left_out);
+  EXPECT_LT(speed(3).sigma_random, left_out + 1.5 * even.frames[3].slip.speed_mm_s.sigma_random);
+  // The truth: half of the even speed in the middle.
+  const double off = speed(3).value - rolling_->Wheel(3).speed_mm_s / 2;
+  EXPECT_GT(std::abs(off), 0.3 * left_out);
+  EXPECT_LT(std::abs(off), 2 * speed(3).sigma_random);
+}
+
+TEST(GroundPitches, AreNoneOfARigThatStandsStillAndOfTheNearestFrameWhereNotKnown) {
+  RollingContact contact;
+  EXPECT_TRUE(GroundPitchesOf(contact).empty());
+  contact.frames.resize(5);
+  for (std::size_t f = 0; f < 5; ++f) {
+    RigRotationFrame& rotation = contact.frames[f].rotation;
+    rotation.found = f != 0 && f != 3;
+    rotation.known.fill(rotation.found);
+    rotation.pose[0] = 0.1;
+    rotation.cov_random(0, 0) = 1e-8;
+  }
+  EXPECT_TRUE(GroundPitchesOf(contact).empty());
+  contact.frames[2].rotation.pose[0] = 0.11;
+  contact.frames[4].rotation.pose[0] = 0.14;
+  const std::vector<GroundPitch> pitch = GroundPitchesOf(contact);
+  ASSERT_EQ(pitch.size(), 5U);
+  EXPECT_EQ(pitch[0].value_rad, 0.1);
+  EXPECT_NEAR(pitch[0].sigma_rad, 0.04, 1e-12);
+  EXPECT_NEAR(pitch[1].sigma_rad, 1e-4, 1e-12);
+  EXPECT_EQ(pitch[3].value_rad, 0.14);
+  EXPECT_NEAR(pitch[3].sigma_rad, 0.04, 1e-12);
+  EXPECT_EQ(pitch[4].value_rad, 0.14);
 }
 
 TEST_F(RollingContactOfAnArc, StandsAsTheUserSays) {

@@ -3,8 +3,10 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <map>
+#include <stdexcept>
 #include <vector>
 
 #include "calib/error.h"
@@ -144,6 +146,56 @@ TEST_F(RollingSurveyOfAnArc, MovesBackWhatALateRightCameraSaw) {
   EXPECT_LT(std::abs(too_near()), 0.03);
   EXPECT_EQ(rolling.right_delay.value_s, 2e-4);
   EXPECT_THROW(survey.MoveBack({1, 0}, &rolling), UsageError);
+}
+
+// What the contact draws along stays where the ground is, while the arm swings.
+TEST_F(RollingSurveyOfAnArc, HoldsTheDeformationToTheGroundUnderARigThatSwings) {
+  Scenario swinging = Loaded();
+  swinging.motion.flexure_rad_per_m_s2 = 1.5 * kDegrees;
+  std::get<TyreOptions>(swinging.surface).speed_swing_mm_s = 400;
+  LiftedWheel wheel(swinging);
+  RollingSurvey survey(*reference_, Options());
+  std::vector<GroundPitch> pitch;
+  std::vector<double> true_rad;
+  for (int f = 0; f < wheel.frames(); ++f) {
+    const double t = wheel.virtual_rig().FrameTime(f);
+    (void)survey.Add(f, t, wheel.Pair(f).left, wheel.Pair(f).right);
+    const Eigen::Vector3d normal = reference_->axis.rotation.transpose() *
+                                   wheel.virtual_rig().GroundFromRig(t).rotation.row(2).transpose();
+    pitch.push_back({std::atan2(normal.x(), normal.z()), 0});
+    true_rad.push_back(wheel.Angle(f) + pitch.back().value_rad);
+  }
+  RollingWheel rolling = survey.Finish();
+  ASSERT_EQ(rolling.placed(), wheel.frames());
+  // Of the turns since the first frame, largest.
+  const auto off = [&] {
+    double most = 0;
+    for (std::size_t f = 0; f < true_rad.size(); ++f) {
+      const double turn = rolling.frames[f].angle_rad - rolling.frames[0].angle_rad;
+      most = std::max(most, std::abs(turn - (true_rad[f] - true_rad[0])));
+    }
+    return most;
+  };
+  ASSERT_GT(std::abs(pitch.back().value_rad - pitch.front().value_rad), 5 * kDegrees);
+  EXPECT_GT(off(), 0.2 * kDegrees);
+  survey.HoldToGround(pitch, &rolling);
+  EXPECT_LT(off(), 0.01 * kDegrees);
+  EXPECT_LT(off(), 2 * rolling.frames.back().sigma_random_turn_rad);
+  EXPECT_LT(rolling.frames.back().sigma_random_turn_rad, 0.01 * kDegrees);
+  // A frame whose pitch is off has its angle off by as much as is claimed.
+  const double exact_rad = rolling.frames[3].measured_angle_rad;
+  const double sigma_rad = rolling.frames[3].sigma_measured_rad;
+  constexpr double kOff_rad = 0.5 * kDegrees;
+  pitch[3].value_rad += kOff_rad;
+  survey.HoldToGround(pitch, &rolling);
+  const double moved_rad = std::abs(rolling.frames[3].measured_angle_rad - exact_rad);
+  pitch[3] = {pitch[3].value_rad - kOff_rad, kOff_rad};
+  survey.HoldToGround(pitch, &rolling);
+  EXPECT_EQ(rolling.frames[3].measured_angle_rad, exact_rad);
+  EXPECT_NEAR(std::sqrt(std::pow(rolling.frames[3].sigma_measured_rad, 2) - sigma_rad * sigma_rad),
+              moved_rad, 0.3 * moved_rad);
+  EXPECT_GT(moved_rad, 5 * sigma_rad);
+  EXPECT_THROW(survey.HoldToGround({}, &rolling), std::invalid_argument);
 }
 
 TEST_F(RollingSurveyOfAnArc, FollowsARightCameraThatVibrates) {

@@ -42,6 +42,35 @@ struct Swing {
   }
 };
 
+TEST(SlopeWeights, FollowAParabolaBetweenTimesThatAreNotAlikeApart) {
+  const auto value = [](double t) { return 3 * t * t - 2 * t + 5; };
+  const std::vector<double> times = {0.02, 0.04, 0.08};
+  for (std::size_t at = 0; at < times.size(); ++at) {
+    const std::vector<double> weights = internal::SlopeWeights(times, at);
+    double slope = 0;
+    for (std::size_t k = 0; k < times.size(); ++k) slope += weights[k] * value(times[k]);
+    EXPECT_NEAR(slope, 6 * times[at] - 2, 1e-12);
+  }
+  const std::vector<double> of_a_line = internal::SlopeWeights(std::span(times).first(2), 0);
+  EXPECT_NEAR(of_a_line[0] * value(0.02) + of_a_line[1] * value(0.04),
+              (value(0.04) - value(0.02)) / 0.02, 1e-12);
+}
+
+TEST(TurningOverGround, TakesTheSwingOfTheArmOutBesideAFrameThatIsLost) {
+  Swing swing(3, 5, 0.5);
+  for (RollingFrame& frame : swing.wheel.frames) {
+    const double t = frame.time_s;
+    frame.angle_rad = kOmega * (t + 0.25 * t * t) + 3 * t * t / 2;
+  }
+  swing.wheel.frames.erase(swing.wheel.frames.begin() + 3);
+  swing.poses.erase(swing.poses.begin() + 3);
+  swing.wheel.speed_along_modes_rad_s = Eigen::MatrixXd::Zero(0, 4);
+  const std::vector<double> times = {kStep_s, 2 * kStep_s, 4 * kStep_s};
+  const MeasuredScalar turning = internal::TurningOverGround(
+      swing.wheel, 1, 2, std::span(swing.poses).last(3), internal::SlopeWeights(times, 1));
+  EXPECT_NEAR(turning.value, kOmega * (1 + 0.5 * 2 * kStep_s), 1e-12);
+}
+
 TEST(SpeedAtEnd, AnArmThatSwingsFasterAndFasterDoesNotSpeedUpTheWheel) {
   const Swing swing(3);
   EXPECT_NEAR(swing.Begin().value, 1, 1e-12);

@@ -4,6 +4,7 @@
 #include <limits>
 #include <utility>
 
+#include "track/right_drift.h"
 #include "track/right_flow.h"
 
 namespace plumbline::internal {
@@ -88,12 +89,12 @@ void PointsOfFrames::AddModes(std::size_t f, const std::vector<Eigen::Vector2d>&
   if (reference_.delay_mode >= 0) {
     const auto mode = static_cast<std::size_t>(reference_.delay_mode);
     const double sigma_s = rolling_.right_delay.sigma_s;
-    const double late_rad = sigma_s > 0 ? frame.speed_rad_s * sigma_s : 0;
     const double view_late_rad = reference_.SigmaLateTurnOf(view);
     std::vector<Eigen::Vector2d> right_px, view_right_px;
     for (const RollingPoint& p : frame.points) {
       const Eigen::Vector3d there = rig_from_view * p.undeformed_mm;
-      right_px.push_back(-late_rad * p.right_flow_px);
+      right_px.push_back(sigma_s > 0 ? -sigma_s * RightVelocityOf(frame, p)
+                                     : Eigen::Vector2d(Eigen::Vector2d::Zero()));
       view_right_px.push_back(-view_late_rad * RigidRightFlow(reference_, there));
     }
     FillModeOfMatches(reference_.rig, left, right, right_px, mode, moved);

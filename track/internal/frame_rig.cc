@@ -16,6 +16,11 @@ int StrideOf(const StereoField& field) {
 
 }  // namespace
 
+std::vector<std::size_t> PlacesFarApart(const StereoField& field,
+                                        const Image<Eigen::Vector3f>& unit_covariance) {
+  return ObservedPlaces(field, unit_covariance, StrideOf(field));
+}
+
 std::vector<StereoObservation> FarApart(const StereoField& field,
                                         const Image<Eigen::Vector3f>& unit_covariance) {
   return ObservationsOf(field, unit_covariance, StrideOf(field));

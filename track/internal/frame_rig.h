@@ -26,7 +26,9 @@ namespace plumbline::internal {
                                    std::span<const StereoObservation> observations,
                                    PoseRefinement refinement, RollingFrame* frame);
 
-// The matches of a frame that share no noise.
+// The points of a frame whose matches share no noise, as ObservedPlaces(); and these matches.
+[[nodiscard]] std::vector<std::size_t> PlacesFarApart(
+    const StereoField& field, const Image<Eigen::Vector3f>& unit_covariance);
 [[nodiscard]] std::vector<StereoObservation> FarApart(
     const StereoField& field, const Image<Eigen::Vector3f>& unit_covariance);
 

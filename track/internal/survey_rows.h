@@ -26,6 +26,7 @@ struct SurveyRows {
   struct PoseMatches {
     std::optional<RelativePose> view;             // of the reference image; nothing: not refined
     std::vector<StereoObservation> observations;  // of the frame
+    std::vector<std::size_t> places;              // of each on the grid, row * columns + column
     std::vector<Eigen::Vector2d> right_flow_px;   // of each, a radian
 
     static PoseMatches Of(const RelativePose& view, const StereoField& field,
@@ -36,6 +37,7 @@ struct SurveyRows {
   std::vector<std::vector<RollingObservation>> observations;
   std::vector<Eigen::MatrixXf> psi_along;  // (observations, modes)
   std::vector<PoseMatches> poses;
+  std::vector<GroundPitch> pitch;  // empty: the deformation stays as it is under the rig
 
   void Push(Eigen::Index modes);
   void ClearLast();
@@ -55,6 +57,11 @@ struct SurveyRows {
                 RollingWheel* wheel);
 
  private:
+  // The observations, with their places over the ground where that is known.
+  std::vector<std::vector<RollingObservation>> OverGround() const;
+  // What one sigma of how far the deformation follows the ground does to the angles; slope: of it,
+  // in the mean over each frame.
+  Eigen::RowVectorXd AlongPitch(const std::vector<double>& slope) const;
   // The pose of a frame's cameras and its points by its pixels as they are now; returns the rig.
   StereoRig TriangulateAnew(const WheelReference& reference, PoseRefinement refinement,
                             std::size_t f, RollingFrame* frame);

@@ -1,12 +1,12 @@
 #include "track/internal/turning_over_ground.h"
 
 #include <cmath>
+#include <vector>
 
 namespace plumbline::internal {
 namespace {
 
-double MeanSpeed(const RollingWheel& wheel, std::size_t first, std::size_t f, std::size_t last) {
-  if (first < f && f < last) return wheel.frames[f].speed_rad_s;
+double MeanSpeed(const RollingWheel& wheel, std::size_t first, std::size_t last) {
   return (wheel.frames[first].speed_rad_s + wheel.frames[last].speed_rad_s) / 2;
 }
 
@@ -36,18 +36,34 @@ RateChange RateAtEnd(std::span<const RigRotationFrame> poses, bool begins) {
 
 }  // namespace
 
+std::vector<double> SlopeWeights(std::span<const double> times, std::size_t at) {
+  if (times.size() == 2) {
+    const double per_s = 1 / (times[1] - times[0]);
+    return {-per_s, per_s};
+  }
+  std::vector<double> weights(3);
+  for (std::size_t k = 0; k < 3; ++k) {
+    const double t = times[k], u = times[(k + 1) % 3], v = times[(k + 2) % 3];
+    weights[k] = (2 * times[at] - u - v) / ((t - u) * (t - v));
+  }
+  return weights;
+}
+
 MeasuredScalar TurningOverGround(const RollingWheel& wheel, std::size_t first, std::size_t f,
-                                 std::size_t last, const RigRotationFrame& from,
-                                 const RigRotationFrame& to) {
-  const double time_s = to.time_s - from.time_s;
+                                 std::span<const RigRotationFrame> poses,
+                                 std::span<const double> weights) {
   MeasuredScalar speed;
-  speed.value = MeanSpeed(wheel, first, f, last) - (to.pose[0] - from.pose[0]) / time_s;
+  speed.value = poses.size() == 2 ? MeanSpeed(wheel, first, first + 1) : 0;
   speed.sigma_random = wheel.frames[f].sigma_random_rad_s;
   speed.along_modes = wheel.speed_along_modes_rad_s.col(static_cast<Eigen::Index>(f));
-  for (Eigen::Index k = 0; k < speed.along_modes.size(); ++k) {
-    const auto mode = static_cast<std::size_t>(k);
-    if (mode >= from.along_modes.size()) break;  // the pose was given by hand
-    speed.along_modes[k] -= (to.along_modes[mode][0] - from.along_modes[mode][0]) / time_s;
+  for (std::size_t k = 0; k < poses.size(); ++k) {
+    if (poses.size() > 2) speed.value += weights[k] * wheel.frames[first + k].angle_rad;
+    speed.value -= weights[k] * poses[k].pose[0];
+    for (Eigen::Index mode = 0; mode < speed.along_modes.size(); ++mode) {
+      const auto at = static_cast<std::size_t>(mode);
+      if (at >= poses[k].along_modes.size()) break;  // the pose was given by hand
+      speed.along_modes[mode] -= weights[k] * poses[k].along_modes[at][0];
+    }
   }
   return speed;
 }
@@ -56,7 +72,7 @@ SpeedRatio SpeedAtEnd(const RollingWheel& wheel, std::size_t first, std::size_t 
                       std::span<const RigRotationFrame> poses) {
   const bool begins = f == first;
   const std::size_t from = begins ? 0 : poses.size() - 2;
-  const double in_the_rig = MeanSpeed(wheel, first, f, last);
+  const double in_the_rig = MeanSpeed(wheel, first, last);
   const double mean = in_the_rig - RateOf(poses[from], poses[from + 1]);
   const RateChange ground = RateAtEnd(poses, begins);
   const double half_difference =

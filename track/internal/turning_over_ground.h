@@ -2,6 +2,7 @@
 
 #include <cstddef>
 #include <span>
+#include <vector>
 
 #include "fit/surface_points.h"
 #include "track/rig_rotation.h"
@@ -9,14 +10,20 @@
 
 namespace plumbline::internal {
 
-// The speed at which a wheel turns over the ground in frame f, as a mean from frame `first` to
-// `last` (f and its neighbours, or f and one of them: then it is that of half-way): the one that
-// the rig sees, less that at which the ground turns in the rig. Its sigma is that of the former:
-// random errors of the ground are in what is measured with it too (WheelTurning).
+// By which values at two or three growing times make a slope (1 / unit of time): of the line, or of
+// the parabola at times[at].
+[[nodiscard]] std::vector<double> SlopeWeights(std::span<const double> times, std::size_t at);
+
+// The speed at which a wheel turns over the ground in frame f, by the poses of frame `first` and
+// the one or two after it, of which f is one: the one that the rig sees, less that at which the
+// ground turns in the rig. Of three frames both are slopes of parabolas, as the velocity of the
+// material is: what a parabola does not follow is left out of both, and of the radius that is their
+// ratio. Of two it is that of half-way. weights: SlopeWeights() of the frames. Its sigma is that of
+// the former: random errors of the ground are in what is measured with it too (WheelTurning).
 [[nodiscard]] MeasuredScalar TurningOverGround(const RollingWheel& wheel, std::size_t first,
-                                               std::size_t f, std::size_t last,
-                                               const RigRotationFrame& from,
-                                               const RigRotationFrame& to);
+                                               std::size_t f,
+                                               std::span<const RigRotationFrame> poses,
+                                               std::span<const double> weights);
 
 // The speed of the wheel over the ground in frame f over its mean from frame `first` to `last`, f
 // being one of them: it changes as the speed that the rig sees, less the rate at which the ground

@@ -1,0 +1,37 @@
+#pragma once
+
+#include <Eigen/Core>
+#include <cstddef>
+
+#include "calib/image.h"
+#include "match/planar_field.h"
+#include "track/rolling_survey.h"
+#include "track/wheel_reference.h"
+
+namespace plumbline {
+
+// How fast the right pixels of a rolling wheel's material go beside RightFlow, which believes that
+// the tyre keeps its shape under the rig. Above an obstacle, which goes with the ground, it does
+// not: with r(x, t) the right pixel of what stands at place x of the undeformed wheel under the
+// rig, and x the place that the material goes through,
+//   d r / d t = speed * d r / d turn + drift,   drift = the change of r at x with time.
+// It is told by the frames beside a frame: of r less that of the undeformed surface there, planes
+// through the points around x in each (MaterialLookup), as the slope of a parabola through three
+// frames: this one and one on either side, at an end both on one. Its error is one sixth of the
+// third derivative with time by the product of both intervals; of two frames alone half of the
+// second by the interval.
+
+// Fills RollingFrame::right_drift_px_s of the frames that are placed and have one beside them that
+// is, with times. Where the points beside do not surround a point, it goes on as at the nearest one
+// where they do.
+void FindRightDrift(const WheelReference& wheel, RollingWheel* rolling);
+
+// How fast the right pixel of a survey's point goes with its material (px/s).
+[[nodiscard]] Eigen::Vector2d RightVelocityOf(const RollingFrame& frame, const RollingPoint& point);
+
+// The same of a grid of finer points: flow_px of them (RightFlow::Of), NaN where that is.
+[[nodiscard]] Image<Eigen::Vector2d> RightVelocity(const RollingWheel& rolling, std::size_t frame,
+                                                   const Image<Eigen::Vector2d>& flow_px,
+                                                   const PlanarField& grid);
+
+}  // namespace plumbline
