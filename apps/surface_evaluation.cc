@@ -99,9 +99,9 @@ struct SurfaceEvaluation::Impl {
   SubsetSmoothing smoothing;
   SurfaceEvaluationOptions options;
   ModeTriangulation modes;
+  double correlation_area = 1;  // points that share one noise
   internal::RigWatch watch;
-  int watch_stride = 1, plane_stride = 1;
-  double correlation_area = 1;
+  int plane_stride = 1;
 
   Image<Eigen::Vector3f> unit;  // of the reference
   StereoSurface reference_surface;
@@ -125,16 +125,13 @@ SurfaceEvaluation::Impl::Impl(const StereoRig& r, StereoField field, NeighbourCo
       smoothing(reference.left),
       options(o),
       modes(r),
-      watch(r, {.refinement = o.refinement, .limits = {}}) {
+      correlation_area(CorrelationArea(neighbours, reference.left.size())),
+      watch(r, {.refinement = o.refinement, .limits = {}, .alike_points = correlation_area}) {
   const ImageSize grid = reference.left.size();
-  watch_stride =
-      std::max(1, (reference.left.subset_px + reference.left.step_px - 1) / reference.left.step_px);
   plane_stride = std::max(1, reference.left.subset_px / (2 * reference.left.step_px));
-  correlation_area = CorrelationArea(neighbours, grid);
   options.ground.correlation_area_points = 1;
   unit = UnitCovariance(reference, reference);
-  const internal::RigWatch::Verdict verdict =
-      watch.Reference(ObservationsOf(reference, unit, watch_stride));
+  const internal::RigWatch::Verdict verdict = watch.Reference(ObservationsOf(reference, unit));
   reference_watch = verdict.record;
   reference_surface = SurfaceOf(verdict, reference, unit, match_mode);
   if (std::none_of(reference_surface.status.values().begin(),
@@ -435,8 +432,7 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s,
                                         const BodyMotion* body) {
   Impl& impl = *impl_;
   const Image<Eigen::Vector3f> unit = UnitCovariance(impl.reference, field);
-  const internal::RigWatch::Verdict verdict =
-      impl.watch.Later(ObservationsOf(field, unit, impl.watch_stride));
+  const internal::RigWatch::Verdict verdict = impl.watch.Later(ObservationsOf(field, unit));
   const std::optional<MatchMode> none;
   StereoSurface surface =
       impl.SurfaceOf(verdict, field, unit, body != nullptr ? body->match_mode : none);

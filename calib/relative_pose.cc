@@ -84,6 +84,7 @@ struct UnitPose {
 struct Matches {
   std::vector<MatchRays> rays;
   std::vector<Eigen::Vector2d> left, right;  // px
+  double alike = 1;                          // that share one noise
 };
 
 Matches TakeMatches(const StereoRig& rig, std::span<const StereoObservation> observations,
@@ -107,6 +108,8 @@ Matches TakeMatches(const StereoRig& rig, std::span<const StereoObservation> obs
   rig.left.UnprojectWithPixelJacobians(left, r0, F0);
   rig.right.UnprojectWithPixelJacobians(right, r1, F1);
   Matches matches;
+  matches.alike = std::max(1.0, options.alike_points * static_cast<double>(taken) /
+                                    std::max(1.0, static_cast<double>(observations.size())));
   const UnitPose pose(rig.right_from_left);
   for (std::size_t i = 0; i < n; ++i) {
     if (!r0[i].allFinite() || !r1[i].allFinite()) continue;
@@ -128,11 +131,12 @@ class EpipolarFit {
  public:
   EpipolarFit(const Matches& matches, const Rigid3& start, double outlier_sigmas)
       : matches_(matches), pose_(start), outlier_sigmas_(outlier_sigmas) {
-    if (matches.rays.size() < kMinPoints) {
+    const auto needed = static_cast<std::size_t>(std::ceil(kMinPoints * matches.alike));
+    if (matches.rays.size() < needed) {
       throw InputError(fmt::format(
           "The pose of the right camera needs at least {} matches, and there are {}; measure more "
           "points.",
-          kMinPoints, matches.rays.size()));
+          needed, matches.rays.size()));
     }
     weight_.resize(matches.rays.size());
     // While the scale falls the robust weights only have to come near.
@@ -395,6 +399,9 @@ void RelativePoseOptions::Check() const {
   if (!(outlier_sigmas >= 2)) {
     throw UsageError("Matches can be called wrong from 2 sigmas on, not below.");
   }
+  if (!(alike_points >= 1)) {
+    throw UsageError("At least one match has a noise: alike_points is 1 or more.");
+  }
   if (known_distance &&
       !(known_distance->distance_mm > 0 && known_distance->sigma_mm >= 0 &&
         std::isfinite(known_distance->distance_mm) && std::isfinite(known_distance->sigma_mm))) {
@@ -424,7 +431,8 @@ RelativePose RefineRelativePose(const StereoRig& rig,
   out.change = ChangeOf(out.right_from_left * rig.right_from_left.Inverse());
   SetScatter(rig.right_from_left, matches, fit, options.other_pose, out);
   out.cov_random = RandomPart(refined, fit, ruler, out.change);
-  if (options.scale_by_scatter) out.cov_random *= std::max(1.0, out.sigma0 * out.sigma0);
+  out.cov_random *=
+      matches.alike * (options.scale_by_scatter ? std::max(1.0, out.sigma0 * out.sigma0) : 1);
   out.cov_calibration = CalibrationPart(rig, matches, fit, ruler, out.change);
   out.degrees_of_freedom = ruler ? 6 : 5;
   out.chi2 = ChiSquared(out.change, out.cov_random + out.cov_calibration,

@@ -42,7 +42,10 @@ struct RelativePoseOptions {
   // Sets the length of the baseline; without it, it is the rig's.
   std::optional<DistanceBetweenObservations> known_distance;
   // More observations than this are thinned evenly: every n-th.
-  int max_points = 1500;
+  int max_points = 6000;
+  // So many of the observations share one noise, as those of subsets that overlap do
+  // (CorrelationArea()); less where they are thinned. cov_random counts it.
+  double alike_points = 1;
   // Beyond so many sigmas from its epipolar line a match is a mismatch. The sigmas are the given
   // ones, or what the median residual says where that is more.
   double outlier_sigmas = 4.5;
@@ -88,14 +91,14 @@ struct RelativePose {
 
 // Refines the pose of the right camera against the left one from matches.
 //
-// The matches must be spread over the image, and far enough apart not to share noise: neighbouring
-// subsets of a dense grid overlap, and count as one measurement, so pass one in every (subset /
-// step) rows and columns. A flat surface will do, but some directions are then weak; cov_random
-// says which. Observations whose pixels are not finite or have no ray are left out.
+// The matches must be spread over the image. Of a dense grid, whose subsets overlap, pass all, with
+// RelativePoseOptions::alike_points: some that lie apart tell the pose less well, for neighbours
+// have noise of their own too. A flat surface will do, but some directions are then weak;
+// cov_random says which. Observations whose pixels are not finite or have no ray are left out.
 //
-// Throws InputError when the points do not determine the pose (fewer than 12, along a line, in one
-//        corner ...): when the least certain direction is so uncertain that noise in the
-//        derivatives passes for information, 1 / sigma^2 < 100 points (rad);
+// Throws InputError when the points do not determine the pose (fewer than 12 that share no noise,
+//        along a line, in one corner ...): when the least certain direction is so uncertain that
+//        noise in the derivatives passes for information, 1 / sigma^2 < 100 points (rad);
 //        UsageError from the options; std::invalid_argument for a known distance between
 //        observations that are not there or cannot be triangulated, and for a covariance that gives
 //        no positive variance across the epipolar line.

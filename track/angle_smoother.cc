@@ -116,25 +116,30 @@ void FindOutliers(AngleSeries& series, const std::optional<double>& q, double mo
   }
 }
 
-// Outliers of one kind that follow each other.
+// Outliers of one kind that follow each other, or at an end, where others are on one side alone.
 void CollectRuns(std::size_t begin, std::size_t end, const AngleSeries& before,
                  const Outliers& outliers, std::vector<std::size_t>* taken) {
   constexpr std::size_t kRun = 3;
   std::vector<std::size_t> run;
+  bool from_the_start = true;
   for (std::size_t at = begin; at <= end; ++at) {
     if (at < end && !std::isfinite(VarianceOf(before, at))) continue;
     if (at < end && outliers[at]) {
       run.push_back(at);
       continue;
     }
-    if (run.size() >= kRun) taken->insert(taken->end(), run.begin(), run.end());
+    if (run.size() >= kRun || from_the_start || at == end) {
+      taken->insert(taken->end(), run.begin(), run.end());
+    }
+    from_the_start = false;
     run.clear();
   }
 }
 
 // Frames that are left out in a row do not err independently of each other: rather the motion has
-// changed, which a noise that suits the rest does not allow. They count again where under the
-// likeliest noise with them nothing contradicts them.
+// changed, which a noise that suits the rest does not allow; so it may at an end, to where the
+// others only lead on. They count again where under the likeliest noise with them nothing
+// contradicts them.
 void TakeBackRuns(AngleSeries& series, double most_sigmas, Outliers& outliers,
                   const AngleSeries& before) {
   std::vector<std::size_t> taken;

@@ -17,16 +17,19 @@ bool CameraMotionLimits::Beyond(double motion_chi2, double with_px, double witho
   return motion_chi2 > chi2 && taken_px > epipolar_px;
 }
 
-RelativePose PoseOfPair(const StereoRig& rig, std::span<const StereoObservation> observations) {
+RelativePose PoseOfPair(const StereoRig& rig, std::span<const StereoObservation> observations,
+                        double alike_points) {
   RelativePoseOptions options;
+  options.alike_points = alike_points;
   options.scale_by_scatter = true;
   return RefineRelativePose(rig, observations, options);
 }
 
 CameraMotion MotionSince(const StereoRig& rig, const RelativePose& earlier,
-                         std::span<const StereoObservation> observations,
+                         std::span<const StereoObservation> observations, double alike_points,
                          const CameraMotionLimits& limits) {
   RelativePoseOptions options;
+  options.alike_points = alike_points;
   options.scale_by_scatter = true;
   options.other_pose = earlier.right_from_left;
   CameraMotion motion;

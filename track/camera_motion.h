@@ -40,14 +40,16 @@ struct CameraMotion {
   bool moved = false;
 };
 
-// The pose of a pair by its matches, whose scatter counts. Throws InputError as
-// RefineRelativePose().
+// The pose of a pair by its matches, whose scatter counts. alike_points: of them, that share one
+// noise (RelativePoseOptions). Throws InputError as RefineRelativePose().
 [[nodiscard]] RelativePose PoseOfPair(const StereoRig& rig,
-                                      std::span<const StereoObservation> observations);
+                                      std::span<const StereoObservation> observations,
+                                      double alike_points = 1);
 
 // observations: of the later pair. Throws InputError as RefineRelativePose().
 [[nodiscard]] CameraMotion MotionSince(const StereoRig& rig, const RelativePose& earlier,
                                        std::span<const StereoObservation> observations,
+                                       double alike_points = 1,
                                        const CameraMotionLimits& limits = {});
 
 // right_from_left after a motion of the right camera in its own frame (rotation vector rad,

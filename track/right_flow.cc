@@ -1,5 +1,7 @@
 #include "track/right_flow.h"
 
+#include <algorithm>
+#include <cmath>
 #include <limits>
 #include <vector>
 
@@ -9,6 +11,49 @@
 #include "track/surface_state.h"
 
 namespace plumbline {
+namespace {
+
+const Eigen::Vector3d kNowhere =
+    Eigen::Vector3d::Constant(std::numeric_limits<double>::quiet_NaN());
+
+// Linear between the places of the profile; NaN beyond them.
+double RadiusAt(const WheelProfile& profile, double y_mm) {
+  const auto next = std::upper_bound(profile.y_mm.begin(), profile.y_mm.end(), y_mm);
+  if (next == profile.y_mm.begin() || next == profile.y_mm.end()) return kNowhere.x();
+  const auto k = static_cast<std::size_t>(next - profile.y_mm.begin());
+  const double share = (y_mm - profile.y_mm[k - 1]) / (profile.y_mm[k] - profile.y_mm[k - 1]);
+  return std::lerp(profile.radius_mm[k - 1], profile.radius_mm[k], share);
+}
+
+// Where the ray of a pixel meets the undeformed wheel from within (rig frame); NaN where the
+// profile does not reach.
+Eigen::Vector3d UnderLeftPixel(const WheelReference& wheel, const Eigen::Vector2d& px) {
+  const Rigid3 wheel_from_rig = wheel.axis.RigFromWheel(0).Inverse();
+  const Eigen::Vector3d ray = wheel.rig.left.Unproject(px).normalized();
+  const Eigen::Vector3d from = wheel_from_rig.translation_mm, along = wheel_from_rig.rotation * ray;
+  const auto beyond = [&](double way_mm) {
+    const Eigen::Vector3d at = from + way_mm * along;
+    return std::hypot(at.x(), at.z()) - RadiusAt(wheel.profile, at.y());
+  };
+  // From step to step to where the ray leaves the wheel, then by halves.
+  constexpr double kStep_mm = 1;
+  double inside = -1, outside = -1;
+  for (double way = 0; way < 2 * wheel.profile.crown_radius_mm && outside < 0; way += kStep_mm) {
+    const double off = beyond(way);
+    if (off < 0) inside = way;
+    if (off >= 0 && inside >= 0) outside = way;
+  }
+  // A gap in between: out of the profile's reach.
+  if (outside < 0 || outside - inside > 1.5 * kStep_mm) return kNowhere;
+  constexpr int kHalves = 30;
+  for (int k = 0; k < kHalves; ++k) {
+    const double middle = (inside + outside) / 2;
+    (beyond(middle) < 0 ? inside : outside) = middle;
+  }
+  return inside * ray;
+}
+
+}  // namespace
 
 RightFlow::RightFlow(const WheelReference& wheel, const StereoField& pair)
     : left_px_(pair.left.size(),
@@ -16,11 +61,15 @@ RightFlow::RightFlow(const WheelReference& wheel, const StereoField& pair)
   const StereoSurface surface = TriangulateField(wheel.rig, pair, UnitCovariance(pair, pair));
   const Eigen::Vector3d axis = wheel.axis.direction_in_rig(),
                         origin = wheel.axis.origin_in_rig_mm();
-  for (std::size_t i = 0; i < left_px_.pixel_count(); ++i) {
-    if (surface.status.data()[i] != Status::kOk) continue;
-    const Eigen::Vector3d& p = surface.instant.point_mm.data()[i];
-    const Camera::Projection seen = wheel.rig.left.ProjectWithJacobians(p);
-    left_px_.data()[i] = seen.d_pixel_d_point * axis.cross(p - origin);
+  for (int r = 0; r < left_px_.height(); ++r) {
+    for (int c = 0; c < left_px_.width(); ++c) {
+      const Eigen::Vector3d p = surface.status(r, c) == Status::kOk
+                                    ? surface.instant.point_mm(r, c)
+                                    : UnderLeftPixel(wheel, pair.left.PixelOf(r, c));
+      if (!p.allFinite()) continue;
+      const Camera::Projection seen = wheel.rig.left.ProjectWithJacobians(p);
+      left_px_(r, c) = seen.d_pixel_d_point * axis.cross(p - origin);
+    }
   }
 }
 
@@ -43,7 +92,11 @@ RightFlow RightFlow::Every(int stride) const {
 void MoveAlong(const Image<Eigen::Vector2d>& flow_px, double by, PlanarField* right) {
   for (std::size_t i = 0; i < flow_px.pixel_count(); ++i) {
     const Eigen::Vector2d& flow = flow_px.data()[i];
-    if (flow.allFinite()) right->displacement_px.data()[i] += by * flow;
+    if (flow.allFinite()) {
+      right->displacement_px.data()[i] += by * flow;
+    } else if (by != 0 && right->status.data()[i] == Status::kOk) {
+      right->status.data()[i] = Status::kExtrapolated;
+    }
   }
 }
 

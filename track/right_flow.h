@@ -23,7 +23,8 @@ namespace plumbline {
 // does not stay: FindRightDrift() has what is then left.
 class RightFlow {
  public:
-  // pair: the matches of the view's own images. Keeps no reference.
+  // pair: the matches of the view's own images. Where they have none, as where the right image
+  // ends, the view shows the wheel's profile. Keeps no reference.
   RightFlow(const WheelReference& wheel, const StereoField& pair);
 
   // d right pixel / d turn of the wheel (px a radian) of the view's grid in a pair of images; NaN
@@ -39,8 +40,8 @@ class RightFlow {
   Image<Eigen::Vector2d> left_px_;  // of the view, a radian
 };
 
-// The right matches moved by so many times their flow (a turn) or velocity (a time), where that is
-// known.
+// The right matches moved by so many times their flow (a turn) or velocity (a time). Those of which
+// that is not known are none any more (kExtrapolated).
 void MoveAlong(const Image<Eigen::Vector2d>& flow_px, double by, PlanarField* right);
 
 // The same of a point of the undeformed wheel, in the rig frame.

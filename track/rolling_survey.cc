@@ -73,6 +73,7 @@ struct RollingSurvey::Impl {
     internal::ViewMaterial material;   // NaN where the view has no point
     Eigen::MatrixXf material_along;    // (points of the grid, K): of their MaterialAngle()
     std::optional<RelativePose> pose;  // of the cameras, where frames are held against it
+    double alike_points = 1;           // of the points that may be kept, that share one noise
   };
 
   Prepared& Prepare(std::size_t view);
@@ -137,7 +138,9 @@ RollingSurvey::Impl::Prepared& RollingSurvey::Impl::Prepare(std::size_t view) {
   anew.material_along =
       internal::MaterialAlongModes(wheel, v, anew.material.point_mm, modes, axes_along);
   if (options.refinement != PoseRefinement::kOff) {
-    anew.pose = internal::PoseOfView(wheel.rig, anew.pair);
+    anew.alike_points = internal::AlikePoints(anew.kept.left, options.matching.field.correlator);
+    anew.pose = internal::PoseOfView(wheel.rig, internal::EveryMatch(anew.pair, anew.stride),
+                                     anew.alike_points);
   }
   while (prepared.size() >= static_cast<std::size_t>(options.views_held)) prepared.pop_back();
   prepared.push_front(std::move(anew));
@@ -151,9 +154,11 @@ void RollingSurvey::Impl::Keep(const Prepared& by, RollingFrame& frame) {
   const Image<Eigen::Vector3f> unit = UnitCovariance(by.kept, field);
   const Image<Eigen::Vector2d> flow_px = by.flow->Of(field.right);
   internal::SurveyRows::PoseMatches& pose = rows.poses.back();
-  if (by.pose) pose = internal::SurveyRows::PoseMatches::Of(*by.pose, field, unit, flow_px);
-  const StereoRig rig =
-      internal::RigOfFrame(wheel.rig, pose.view, pose.observations, options.refinement, &frame);
+  if (by.pose) {
+    pose = internal::SurveyRows::PoseMatches::Of(*by.pose, field, unit, flow_px, by.alike_points);
+  }
+  const StereoRig rig = internal::RigOfFrame(wheel.rig, pose.view, pose.observations,
+                                             pose.alike_points, options.refinement, &frame);
   const StereoSurface surface = TriangulateField(rig, field, unit);
   const auto cov = CovarianceOf(surface.instant, unit);
   grid = field.left.size();

@@ -202,23 +202,18 @@ Image<Eigen::Vector3f> UnitCovariance(const StereoField& reference, const Stereo
 }
 
 std::vector<std::size_t> ObservedPlaces(const StereoField& field,
-                                        const Image<Eigen::Vector3f>& cov_px2, int stride) {
+                                        const Image<Eigen::Vector3f>& cov_px2) {
   std::vector<std::size_t> places;
-  const ImageSize size = field.left.size();
-  for (int r = 0; r < size.height; r += stride) {
-    for (int c = 0; c < size.width; c += stride) {
-      const std::size_t i = static_cast<std::size_t>(r) * static_cast<std::size_t>(size.width) +
-                            static_cast<std::size_t>(c);
-      if (BothMatched(field, cov_px2, i)) places.push_back(i);
-    }
+  for (std::size_t i = 0; i < cov_px2.pixel_count(); ++i) {
+    if (BothMatched(field, cov_px2, i)) places.push_back(i);
   }
   return places;
 }
 
 std::vector<StereoObservation> ObservationsOf(const StereoField& field,
-                                              const Image<Eigen::Vector3f>& cov_px2, int stride) {
+                                              const Image<Eigen::Vector3f>& cov_px2) {
   std::vector<StereoObservation> observations;
-  for (const std::size_t i : ObservedPlaces(field, cov_px2, stride)) {
+  for (const std::size_t i : ObservedPlaces(field, cov_px2)) {
     observations.push_back(MatchedAt(field, cov_px2.data()[i], i).seen);
   }
   return observations;

@@ -65,15 +65,13 @@ struct StereoSurface {
   Image<Status> status;
 };
 
-// The points in every `stride`-th row and column that have both matches, as row * columns + column.
+// The points that have both matches, as row * columns + column.
 [[nodiscard]] std::vector<std::size_t> ObservedPlaces(const StereoField& field,
-                                                      const Image<Eigen::Vector3f>& cov_px2,
-                                                      int stride);
+                                                      const Image<Eigen::Vector3f>& cov_px2);
 
 // The matches of the points at ObservedPlaces(), with the joint covariance of both pixels.
 [[nodiscard]] std::vector<StereoObservation> ObservationsOf(const StereoField& field,
-                                                            const Image<Eigen::Vector3f>& cov_px2,
-                                                            int stride);
+                                                            const Image<Eigen::Vector3f>& cov_px2);
 
 // Triangulates both pixels of each point and carries the errors of both matches, without those of
 // the calibration (AddModes). cov_px2: UnitCovariance().

@@ -40,7 +40,7 @@ void RigWatch::SetPose(const Vector6& change, const std::vector<Vector6>& errors
 RigWatch::Verdict RigWatch::Reference(std::span<const StereoObservation> observations) {
   Verdict verdict{{}, rig_, {}};
   try {
-    first_ = PoseOfPair(rig_, observations);
+    first_ = PoseOfPair(rig_, observations, options_.alike_points);
     verdict.record = RecordOf(*first_);
     verdict.record.chi2_first = 0;
     verdict.record.alarm = options_.limits.Beyond(first_->chi2, first_->epipolar_rms_before_px,
@@ -62,7 +62,8 @@ RigWatch::Verdict RigWatch::Later(std::span<const StereoObservation> observation
   Verdict verdict{{}, base_, {}};
   try {
     if (!first_) throw InputError("the reference pair does not tell the pose of the cameras");
-    const CameraMotion motion = MotionSince(rig_, *first_, observations, options_.limits);
+    const CameraMotion motion =
+        MotionSince(rig_, *first_, observations, options_.alike_points, options_.limits);
     const PoseChange& since = motion.since;
     verdict.record = RecordOf(motion.pose);
     verdict.record.chi2_first = since.chi2;

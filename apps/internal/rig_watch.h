@@ -25,6 +25,7 @@ class RigWatch {
   struct Options {
     PoseRefinement refinement = PoseRefinement::kOff;
     CameraMotionLimits limits;
+    double alike_points = 1;  // of the observations, that share one noise (RelativePoseOptions)
   };
 
   // What a pair shows, and the rig to measure it with.
@@ -41,7 +42,7 @@ class RigWatch {
   RigWatch(const StereoRig& rig, const Options& options)
       : rig_(rig), options_(options), base_(rig) {}
 
-  // observations: far enough apart to be independent (RefineRelativePose).
+  // observations: as for RefineRelativePose().
   Verdict Reference(std::span<const StereoObservation> observations);
   Verdict Later(std::span<const StereoObservation> observations) const;
 

@@ -410,6 +410,32 @@ TEST(RelativePose, CountsTheScatterOfTheMatchesWhereItIsAskedTo) {
             RefineRelativePose(rig, seen).cov_random);
 }
 
+TEST(RelativePose, CountsThatMatchesShareNoise) {
+  const StereoRig rig = MakeRig();
+  const auto points = Points(rig, Surface::kCurved, 20, 17);
+  RelativePoseOptions options;
+  options.alike_points = 4;
+  double chi2 = 0;
+  const int draws = 200;
+  for (int i = 0; i < draws; ++i) {
+    const Observations once = See(rig, points, static_cast<unsigned>(5000 + i));
+    Observations seen;
+    for (const StereoObservation& match : once) seen.insert(seen.end(), 4, match);
+    const RelativePose pose = RefineRelativePose(rig, seen, options);
+    chi2 += pose.chi2 / draws;
+    if (i > 0) continue;
+    const RelativePose of_once = RefineRelativePose(rig, once);
+    EXPECT_TRUE(pose.cov_random.isApprox(of_once.cov_random, 1e-6));
+    // Thinned to a quarter, no two are alike.
+    options.max_points = static_cast<int>(once.size());
+    EXPECT_TRUE(RefineRelativePose(rig, seen, options).cov_random.isApprox(pose.cov_random, 1e-6));
+    options.max_points = 6000;
+  }
+  EXPECT_NEAR(chi2, 5, 0.8);
+  options.alike_points = static_cast<double>(points.size()) / 3;
+  EXPECT_THROW((void)RefineRelativePose(rig, See(rig, points, 5500), options), InputError);
+}
+
 TEST(RelativePose, TellsTheDistancesFromTheEpipolarLinesOfThreePoses) {
   const StereoRig rig = MakeRig();
   Vector6 bump = Vector6::Zero();
@@ -537,6 +563,9 @@ TEST(RelativePose, RefusesNonsense) {
   EXPECT_THROW((void)RefineRelativePose(rig, seen, options), UsageError);
   options = {};
   options.max_points = 5;
+  EXPECT_THROW((void)RefineRelativePose(rig, seen, options), UsageError);
+  options = {};
+  options.alike_points = 0.5;
   EXPECT_THROW((void)RefineRelativePose(rig, seen, options), UsageError);
   options = {};
   options.outlier_sigmas = 0;

@@ -73,6 +73,28 @@ TEST(AngleSmoother, AChangeOfSpeedIsNoOutlier) {
   }
 }
 
+// The more surely angles are known, the less a model of white jerk leads on to the last one.
+TEST(AngleSmoother, AChangeOfSpeedAtTheEndIsNoOutlier) {
+  std::mt19937 rng(4);
+  std::normal_distribution<double> n(0, 1);
+  constexpr double kSure_rad = 1e-6;
+  for (int frames = 10; frames < 30; ++frames) {
+    std::vector<double> time_s, truth_rad, angle_rad;
+    for (int f = 0; f < frames; ++f) {
+      const double t = 0.02 * f, w = 2 * std::numbers::pi;
+      time_s.push_back(t);
+      truth_rad.push_back(3.6 * t - 1.03 / w * std::cos(w * t) + 0.05 * std::sin(w * t));
+      angle_rad.push_back(truth_rad.back() + kSure_rad * n(rng));
+    }
+    const std::vector<double> sigma_rad(time_s.size(), kSure_rad);
+    const SmoothedAngles smooth = SmoothAngles(time_s, angle_rad, sigma_rad, {}, {});
+    for (const std::size_t f : {std::size_t{0}, time_s.size() - 1}) {
+      EXPECT_FALSE(smooth.frames[f].outlier) << f << " of " << frames;
+      EXPECT_LT(std::abs(smooth.frames[f].angle_rad - truth_rad[f]), 5 * kSure_rad);
+    }
+  }
+}
+
 TEST(AngleSmoother, SigmasAreConsistent) {
   double angle = 0, speed = 0, turn = 0, inside = 0, count = 0, error = 0, raw = 0;
   constexpr int kDraws = 60;

@@ -3,6 +3,7 @@
 #include <gmock/gmock.h>
 #include <gtest/gtest.h>
 
+#include <algorithm>
 #include <cmath>
 #include <cstdint>
 #include <optional>
@@ -69,6 +70,24 @@ class LoadedTruth {
   double speed_rad_s() const { return speed_rad_s_; }
   const Eigen::Vector2d& VelocityOf(std::size_t i) const { return velocity_px_s_.data()[i]; }
   ImageSize grid() const { return velocity_px_s_.size(); }
+  // Of the undeformed wheel, every 5 mm.
+  WheelProfile Profile() const {
+    WheelProfile profile;
+    const auto view = lifted_.virtual_rig().Truth(0);
+    const Rigid3 wheel_from_ground =
+        reference_.axis.RigFromWheel(0).Inverse() * view->ground_from_rig().Inverse();
+    for (double v = -100; v <= 100; v += 5) {
+      const Eigen::Vector3d there = wheel_from_ground * view->OfMaterial({0, v}).position_mm;
+      profile.y_mm.push_back(there.y());
+      profile.radius_mm.push_back(std::hypot(there.x(), there.z()));
+    }
+    if (profile.y_mm.front() > profile.y_mm.back()) {
+      std::reverse(profile.y_mm.begin(), profile.y_mm.end());
+      std::reverse(profile.radius_mm.begin(), profile.radius_mm.end());
+    }
+    profile.crown_radius_mm = *std::max_element(profile.radius_mm.begin(), profile.radius_mm.end());
+    return profile;
+  }
 
   // A frame of a survey of it, whose right camera is late; with noise of the right pixels.
   RollingFrame Frame(double delay_s, double sigma_px, std::mt19937& random) const {
@@ -168,6 +187,41 @@ TEST(RightFlow, IsHowTheMaterialOfALoadedTyreGoesThroughTheRightImage) {
   }
   EXPECT_GT(seen, 60);
   EXPECT_LT(std::sqrt(sum_off / sum), 0.01);
+}
+
+// Where the right image of the view ends, the frame's may not.
+TEST(RightFlow, IsThatOfTheWheelsProfileWhereTheViewHasNoRightMatch) {
+  const LoadedTruth& truth = Truth();
+  const Image<Eigen::Vector2d> all =
+      RightFlow(truth.reference(), truth.pair()).Of(truth.now().right);
+  WheelReference wheel = truth.reference();
+  StereoField pair = truth.pair();
+  for (Status& status : pair.right.status.values()) status = Status::kOutsideImage;
+  const Image<Eigen::Vector2d> none = RightFlow(wheel, pair).Of(truth.now().right);
+  wheel.profile = truth.Profile();
+  const Image<Eigen::Vector2d> by_profile = RightFlow(wheel, pair).Of(truth.now().right);
+  int compared = 0;
+  for (std::size_t i = 0; i < all.pixel_count(); ++i) {
+    EXPECT_TRUE(none.data()[i].hasNaN());
+    if (!all.data()[i].allFinite()) continue;
+    ++compared;
+    EXPECT_LT((by_profile.data()[i] - all.data()[i]).norm(), 0.003 * all.data()[i].norm());
+  }
+  EXPECT_GT(compared, 60);
+}
+
+TEST(MoveAlong, KeepsNoMatchOfWhichTheFlowIsNotKnown) {
+  PlanarField right({2, 1}, {10, 10}, 10);
+  std::fill(right.status.values().begin(), right.status.values().end(), Status::kOk);
+  for (Eigen::Vector2d& px : right.displacement_px.values()) px.setZero();
+  Image<Eigen::Vector2d> flow({2, 1}, Eigen::Vector2d(3, -1));
+  flow(0, 1).setConstant(std::nan(""));
+  MoveAlong(flow, 0, &right);
+  EXPECT_EQ(right.status(0, 1), Status::kOk);
+  MoveAlong(flow, 0.5, &right);
+  EXPECT_EQ(right.displacement_px(0, 0), Eigen::Vector2d(1.5, -0.5));
+  EXPECT_EQ(right.status(0, 0), Status::kOk);
+  EXPECT_EQ(right.status(0, 1), Status::kExtrapolated);
 }
 
 TEST(RightFlow, OfTheUndeformedWheelIsThatOfItsTurn) {

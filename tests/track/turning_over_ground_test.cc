@@ -56,19 +56,58 @@ TEST(SlopeWeights, FollowAParabolaBetweenTimesThatAreNotAlikeApart) {
               (value(0.04) - value(0.02)) / 0.02, 1e-12);
 }
 
-TEST(TurningOverGround, TakesTheSwingOfTheArmOutBesideAFrameThatIsLost) {
-  Swing swing(3, 5, 0.5);
-  for (RollingFrame& frame : swing.wheel.frames) {
-    const double t = frame.time_s;
-    frame.angle_rad = kOmega * (t + 0.25 * t * t) + 3 * t * t / 2;
+// The frame after the one that is looked at is lost.
+struct SwingWithAGap : Swing {
+  SwingWithAGap() : Swing(3, 5, 0.5) {
+    for (RollingFrame& frame : wheel.frames) {
+      const double t = frame.time_s;
+      frame.angle_rad = kOmega * (t + 0.25 * t * t) + 3 * t * t / 2;
+      frame.sigma_measured_rad = kSigmaAngle_rad;
+    }
+    wheel.frames.erase(wheel.frames.begin() + 3);
+    poses.erase(poses.begin() + 3);
+    wheel.speed_along_modes_rad_s = Eigen::MatrixXd::Zero(0, 4);
+    wheel.angle_along_reference_rad = Eigen::MatrixXd::Zero(1, 4);
+    wheel.angle_along_reference_rad << 0, 1e-5, 3e-5, 1e-5;
+    wheel.deformation.frames.resize(4);
   }
-  swing.wheel.frames.erase(swing.wheel.frames.begin() + 3);
-  swing.poses.erase(swing.poses.begin() + 3);
-  swing.wheel.speed_along_modes_rad_s = Eigen::MatrixXd::Zero(0, 4);
-  const std::vector<double> times = {kStep_s, 2 * kStep_s, 4 * kStep_s};
-  const MeasuredScalar turning = internal::TurningOverGround(
-      swing.wheel, 1, 2, std::span(swing.poses).last(3), internal::SlopeWeights(times, 1));
-  EXPECT_NEAR(turning.value, kOmega * (1 + 0.5 * 2 * kStep_s), 1e-12);
+  MeasuredScalar Turning() const {
+    const std::vector<double> times = {kStep_s, 2 * kStep_s, 4 * kStep_s};
+    return internal::TurningOverGround(wheel, 1, 2, std::span(poses).last(3),
+                                       internal::SlopeWeights(times, 1));
+  }
+  static constexpr double kSigmaAngle_rad = 2e-5;
+};
+
+TEST(TurningOverGround, TakesTheSwingOfTheArmOutBesideAFrameThatIsLost) {
+  EXPECT_NEAR(SwingWithAGap().Turning().value, kOmega * (1 + 0.5 * 2 * kStep_s), 1e-12);
+}
+
+TEST(TurningOverGround, SigmaIsThatOfSampling) {
+  const SwingWithAGap swing;
+  constexpr int kDraws = 4000;
+  std::mt19937 random(4);
+  std::normal_distribution<double> normal;
+  const MeasuredScalar exact = swing.Turning();
+  double squares = 0;
+  for (int draw = 0; draw < kDraws; ++draw) {
+    SwingWithAGap off = swing;
+    const double common = normal(random);
+    for (std::size_t f = 0; f < off.wheel.frames.size(); ++f) {
+      off.wheel.frames[f].angle_rad +=
+          SwingWithAGap::kSigmaAngle_rad * normal(random) +
+          common * swing.wheel.angle_along_reference_rad(0, static_cast<Eigen::Index>(f));
+    }
+    squares += std::pow((off.Turning().value - exact.value) / exact.sigma_random, 2) / kDraws;
+  }
+  EXPECT_NEAR(squares, 1, 4 * std::sqrt(2.0 / kDraws));
+  // What places disagree by on a turn counts over its time; a channel tells turns without that.
+  SwingWithAGap disagreeing = swing;
+  disagreeing.wheel.deformation.frames[3].turn_spread_rad = 1e-3;
+  EXPECT_NEAR(disagreeing.Turning().sigma_random,
+              std::hypot(exact.sigma_random, 1e-3 / (2 * kStep_s)), 1e-9);
+  disagreeing.wheel.frames[2].channel_lean = 0.9;
+  EXPECT_EQ(disagreeing.Turning().sigma_random, kSigmaSpeed_rad_s);
 }
 
 TEST(SpeedAtEnd, AnArmThatSwingsFasterAndFasterDoesNotSpeedUpTheWheel) {

@@ -8,6 +8,8 @@
 #include <utility>
 
 #include "calib/error.h"
+#include "match/correlation_area.h"
+#include "match/neighbour_correlation.h"
 #include "track/stored_matches.h"
 
 namespace plumbline::internal {
@@ -70,6 +72,13 @@ StereoField EveryMatch(const StereoField& field, int stride) {
   out.right = EveryMatchOf(field.right, field.left, stride);
   RoundAsStored(&out);
   return out;
+}
+
+double AlikePoints(const PlanarField& grid, const CorrelatorOptions& correlator) {
+  const NeighbourCorrelation neighbours =
+      NeighbourCorrelation::OfOverlap(grid.size(), grid.step_px, correlator.subset_px,
+                                      correlator.order, correlator.shape == SubsetShape::kCircle);
+  return CorrelationArea(neighbours, grid.size());
 }
 
 RollingSurveyOptions Coarser(RollingSurveyOptions options, ImageSize image) {

@@ -33,6 +33,9 @@ Image<T> EveryOf(const Image<T>& image, int stride) {
 // The points of every `stride`-th row and column, where both images were matched, RoundAsStored().
 StereoField EveryMatch(const StereoField& field, int stride);
 
+// How many points of a grid share one noise, by how their subsets overlap.
+double AlikePoints(const PlanarField& grid, const CorrelatorOptions& correlator);
+
 // Only points that may be kept are matched, as far as they are near enough, half a subset, for
 // neighbours to lead to each other.
 RollingSurveyOptions Coarser(RollingSurveyOptions options, ImageSize image);

@@ -14,6 +14,7 @@
 #include "track/internal/survey_tags.h"
 #include "track/right_drift.h"
 #include "track/right_flow.h"
+#include "track/surface_state.h"
 
 namespace plumbline::internal {
 namespace {
@@ -84,12 +85,17 @@ Eigen::Vector2d RightPixelAt(const PlanarField& right, const Eigen::Vector2d& le
 SurveyRows::PoseMatches SurveyRows::PoseMatches::Of(const RelativePose& view,
                                                     const StereoField& field,
                                                     const Image<Eigen::Vector3f>& unit_covariance,
-                                                    const Image<Eigen::Vector2d>& flow_px) {
-  PoseMatches out{
-      view, FarApart(field, unit_covariance), PlacesFarApart(field, unit_covariance), {}};
-  for (const std::size_t i : out.places) {
-    const Eigen::Vector2d& flow = flow_px.data()[i];
-    out.right_flow_px.push_back(flow.allFinite() ? flow : Eigen::Vector2d::Zero());
+                                                    const Image<Eigen::Vector2d>& flow_px,
+                                                    double alike_points) {
+  PoseMatches out{view, {}, {}, {}, alike_points};
+  const std::vector<StereoObservation> observations = ObservationsOf(field, unit_covariance);
+  const std::vector<std::size_t> places = ObservedPlaces(field, unit_covariance);
+  for (std::size_t i = 0; i < places.size(); ++i) {
+    const Eigen::Vector2d& flow = flow_px.data()[places[i]];
+    if (!flow.allFinite()) continue;
+    out.observations.push_back(observations[i]);
+    out.places.push_back(places[i]);
+    out.right_flow_px.push_back(flow);
   }
   return out;
 }
@@ -230,8 +236,8 @@ void SurveyRows::FindAngles(const WheelReference& reference,
 StereoRig SurveyRows::TriangulateAnew(const WheelReference& reference, PoseRefinement refinement,
                                       std::size_t f, RollingFrame* frame) {
   const Rigid3 wheel_from_rig = reference.axis.RigFromWheel(0).Inverse();
-  StereoRig rig =
-      RigOfFrame(reference.rig, poses[f].view, poses[f].observations, refinement, frame);
+  StereoRig rig = RigOfFrame(reference.rig, poses[f].view, poses[f].observations,
+                             poses[f].alike_points, refinement, frame);
   std::vector<Eigen::Vector2d> left, right;
   for (const RollingPoint& p : frame->points) {
     left.push_back(p.left_px);

@@ -28,10 +28,11 @@ struct SurveyRows {
     std::vector<StereoObservation> observations;  // of the frame
     std::vector<std::size_t> places;              // of each on the grid, row * columns + column
     std::vector<Eigen::Vector2d> right_flow_px;   // of each, a radian
+    double alike_points = 1;                      // of RelativePoseOptions
 
     static PoseMatches Of(const RelativePose& view, const StereoField& field,
                           const Image<Eigen::Vector3f>& unit_covariance,
-                          const Image<Eigen::Vector2d>& right_flow_px);
+                          const Image<Eigen::Vector2d>& right_flow_px, double alike_points);
   };
 
   std::vector<std::vector<RollingObservation>> observations;

@@ -1,5 +1,6 @@
 #include "track/internal/turning_over_ground.h"
 
+#include <algorithm>
 #include <cmath>
 #include <vector>
 
@@ -8,6 +9,28 @@ namespace {
 
 double MeanSpeed(const RollingWheel& wheel, std::size_t first, std::size_t last) {
   return (wheel.frames[first].speed_rad_s + wheel.frames[last].speed_rad_s) / 2;
+}
+
+// Of the slope of the parabola through three angles: by what each frame says of its own, by what
+// they have in common, and by how far places disagree on the turns beside f. Of two, and where a
+// channel tells the turns, that of the smoothed speed.
+double SigmaOfSlope(const RollingWheel& wheel, std::size_t first, std::size_t f,
+                    std::span<const double> weights) {
+  const RollingFrame& frame = wheel.frames[f];
+  if (weights.size() < 3 || std::isfinite(frame.channel_lean)) return frame.sigma_random_rad_s;
+  double variance = 0;
+  Eigen::VectorXd common = Eigen::VectorXd::Zero(wheel.angle_along_reference_rad.rows());
+  double spread = 0;
+  for (std::size_t k = 0; k < weights.size(); ++k) {
+    const RollingFrame& told = wheel.frames[first + k];
+    variance += std::pow(weights[k] * told.sigma_measured_rad, 2);
+    common +=
+        weights[k] * wheel.angle_along_reference_rad.col(static_cast<Eigen::Index>(first + k));
+    if (k == 0) continue;
+    const double interval_s = told.time_s - wheel.frames[first + k - 1].time_s;
+    spread = std::max(spread, wheel.deformation.frames[first + k].turn_spread_rad / interval_s);
+  }
+  return std::sqrt(variance + common.squaredNorm() + spread * spread);
 }
 
 double RateOf(const RigRotationFrame& a, const RigRotationFrame& b) {
@@ -54,7 +77,7 @@ MeasuredScalar TurningOverGround(const RollingWheel& wheel, std::size_t first, s
                                  std::span<const double> weights) {
   MeasuredScalar speed;
   speed.value = poses.size() == 2 ? MeanSpeed(wheel, first, first + 1) : 0;
-  speed.sigma_random = wheel.frames[f].sigma_random_rad_s;
+  speed.sigma_random = SigmaOfSlope(wheel, first, f, weights);
   speed.along_modes = wheel.speed_along_modes_rad_s.col(static_cast<Eigen::Index>(f));
   for (std::size_t k = 0; k < poses.size(); ++k) {
     if (poses.size() > 2) speed.value += weights[k] * wheel.frames[first + k].angle_rad;

@@ -19,7 +19,8 @@ namespace plumbline::internal {
 // ground turns in the rig. Of three frames both are slopes of parabolas, as the velocity of the
 // material is: what a parabola does not follow is left out of both, and of the radius that is their
 // ratio. Of two it is that of half-way. weights: SlopeWeights() of the frames. Its sigma is that of
-// the former: random errors of the ground are in what is measured with it too (WheelTurning).
+// the former (the slope's, not the smoothed speed's): random errors of the ground are in what is
+// measured with it too (WheelTurning).
 [[nodiscard]] MeasuredScalar TurningOverGround(const RollingWheel& wheel, std::size_t first,
                                                std::size_t f,
                                                std::span<const RigRotationFrame> poses,
