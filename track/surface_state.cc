@@ -2,6 +2,7 @@
 
 #include <Eigen/Cholesky>
 #include <Eigen/LU>
+#include <Eigen/SVD>
 #include <algorithm>
 #include <cmath>
 #include <limits>
@@ -114,6 +115,21 @@ struct MatchedPoint {
   StereoObservation seen;
 };
 
+// What both matches of a point share is not all of the noise of either. Where their covariances
+// have another shape than that of the reference, from which `across` is told, it would say more.
+Eigen::Matrix2d AtMostShared(const Eigen::Matrix2d& across, const Eigen::Matrix2d& left,
+                             const Eigen::Matrix2d& right) {
+  constexpr double kMost = 0.95;  // correlation, of any two directions
+  const Eigen::LLT<Eigen::Matrix2d> left_factor(left), right_factor(right);
+  if (left_factor.info() != Eigen::Success || right_factor.info() != Eigen::Success) {
+    return Eigen::Matrix2d::Zero();  // one without noise, as the left one of the reference pair
+  }
+  const Eigen::Matrix2d left_root = left_factor.matrixL(), right_root = right_factor.matrixL();
+  const Eigen::Matrix2d alike = left_root.inverse() * across * right_root.inverse().transpose();
+  const double most = alike.jacobiSvd().singularValues()[0];
+  return most > kMost ? Eigen::Matrix2d(across * (kMost / most)) : across;
+}
+
 MatchedPoint MatchedAt(const StereoField& field, const Eigen::Vector3f& unit, std::size_t i) {
   MatchedPoint out;
   const PlanarField &left = field.left, &right = field.right;
@@ -131,13 +147,21 @@ MatchedPoint MatchedAt(const StereoField& field, const Eigen::Vector3f& unit, st
       left.PixelOf(static_cast<int>(i / columns), static_cast<int>(i % columns));
   out.seen.left = pixel + left.displacement_px.data()[i];
   out.seen.right = pixel + right.displacement_px.data()[i];
-  out.seen.cov_px2 << CovarianceOf(left.cov_displacement_px2.data()[i]), across, across.transpose(),
-      CovarianceOf(right.cov_displacement_px2.data()[i]);
+  const Eigen::Matrix2d of_left = CovarianceOf(left.cov_displacement_px2.data()[i]),
+                        of_right = CovarianceOf(right.cov_displacement_px2.data()[i]);
+  const Eigen::Matrix2d shared = AtMostShared(across, of_left, of_right);
+  out.seen.cov_px2 << of_left, shared, shared.transpose(), of_right;
   return out;
 }
 
 bool BothMatched(const StereoField& field, const Image<Eigen::Vector3f>& cov_px2, std::size_t i) {
   return Usable(field.left, i) && Usable(field.right, i) && cov_px2.data()[i].allFinite();
+}
+
+// In every direction.
+bool HasNoise(const PlanarField& field, std::size_t i) {
+  const Eigen::Matrix2d cov = CovarianceOf(field.cov_displacement_px2.data()[i]);
+  return cov(0, 0) > 0 && cov.determinant() > 0;
 }
 
 // The points that a list of observations was made of.
@@ -205,7 +229,9 @@ std::vector<std::size_t> ObservedPlaces(const StereoField& field,
                                         const Image<Eigen::Vector3f>& cov_px2) {
   std::vector<std::size_t> places;
   for (std::size_t i = 0; i < cov_px2.pixel_count(); ++i) {
-    if (BothMatched(field, cov_px2, i)) places.push_back(i);
+    if (BothMatched(field, cov_px2, i) && (HasNoise(field.left, i) || HasNoise(field.right, i))) {
+      places.push_back(i);
+    }
   }
   return places;
 }

@@ -65,7 +65,8 @@ struct StereoSurface {
   Image<Status> status;
 };
 
-// The points that have both matches, as row * columns + column.
+// The points that have both matches, one of them at least with noise in every direction, as row *
+// columns + column.
 [[nodiscard]] std::vector<std::size_t> ObservedPlaces(const StereoField& field,
                                                       const Image<Eigen::Vector3f>& cov_px2);
 
