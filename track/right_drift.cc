@@ -142,12 +142,17 @@ void FindRightDrift(const WheelReference& wheel, RollingWheel* rolling) {
   }
 }
 
-Eigen::Vector2d RightVelocityOf(const RollingFrame& frame, const RollingPoint& point) {
-  Eigen::Vector2d velocity = frame.speed_rad_s * point.right_flow_px;
-  if (!frame.right_drift_px_s.empty()) {
-    velocity += frame.right_drift_px_s(point.at.y(), point.at.x());
-  }
+Eigen::Vector2d RightVelocityAt(const RollingFrame& frame, std::size_t place,
+                                const Eigen::Vector2d& flow_px) {
+  Eigen::Vector2d velocity = frame.speed_rad_s * flow_px;
+  if (!frame.right_drift_px_s.empty()) velocity += frame.right_drift_px_s.data()[place];
   return velocity;
+}
+
+Eigen::Vector2d RightVelocityOf(const RollingFrame& frame, const RollingPoint& point) {
+  return RightVelocityAt(
+      frame, static_cast<std::size_t>(point.at.y() * frame.right_drift_px_s.width() + point.at.x()),
+      point.right_flow_px);
 }
 
 Image<Eigen::Vector2d> RightVelocity(const RollingWheel& rolling, std::size_t frame,

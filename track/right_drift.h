@@ -26,7 +26,10 @@ namespace plumbline {
 // where they do.
 void FindRightDrift(const WheelReference& wheel, RollingWheel* rolling);
 
-// How fast the right pixel of a survey's point goes with its material (px/s).
+// How fast the right pixel at a place of RollingWheel::grid (row * columns + column), of the flow
+// that it has there, goes with its material (px/s); and that of a survey's point.
+[[nodiscard]] Eigen::Vector2d RightVelocityAt(const RollingFrame& frame, std::size_t place,
+                                              const Eigen::Vector2d& flow_px);
 [[nodiscard]] Eigen::Vector2d RightVelocityOf(const RollingFrame& frame, const RollingPoint& point);
 
 // The same of a grid of finer points: flow_px of them (RightFlow::Of), NaN where that is.

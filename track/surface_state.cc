@@ -236,13 +236,19 @@ std::vector<std::size_t> ObservedPlaces(const StereoField& field,
   return places;
 }
 
-std::vector<StereoObservation> ObservationsOf(const StereoField& field,
+std::vector<StereoObservation> ObservationsAt(std::span<const std::size_t> places,
+                                              const StereoField& field,
                                               const Image<Eigen::Vector3f>& cov_px2) {
   std::vector<StereoObservation> observations;
-  for (const std::size_t i : ObservedPlaces(field, cov_px2)) {
+  for (const std::size_t i : places) {
     observations.push_back(MatchedAt(field, cov_px2.data()[i], i).seen);
   }
   return observations;
+}
+
+std::vector<StereoObservation> ObservationsOf(const StereoField& field,
+                                              const Image<Eigen::Vector3f>& cov_px2) {
+  return ObservationsAt(ObservedPlaces(field, cov_px2), field, cov_px2);
 }
 
 StereoSurface TriangulateField(const StereoRig& rig, const StereoField& field,

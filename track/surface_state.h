@@ -1,6 +1,7 @@
 #pragma once
 
 #include <Eigen/Core>
+#include <span>
 #include <vector>
 
 #include "calib/image.h"
@@ -70,7 +71,11 @@ struct StereoSurface {
 [[nodiscard]] std::vector<std::size_t> ObservedPlaces(const StereoField& field,
                                                       const Image<Eigen::Vector3f>& cov_px2);
 
-// The matches of the points at ObservedPlaces(), with the joint covariance of both pixels.
+// The matches of such points, with the joint covariance of both pixels.
+[[nodiscard]] std::vector<StereoObservation> ObservationsAt(std::span<const std::size_t> places,
+                                                            const StereoField& field,
+                                                            const Image<Eigen::Vector3f>& cov_px2);
+// Of all ObservedPlaces().
 [[nodiscard]] std::vector<StereoObservation> ObservationsOf(const StereoField& field,
                                                             const Image<Eigen::Vector3f>& cov_px2);
 

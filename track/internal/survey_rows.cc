@@ -88,15 +88,13 @@ SurveyRows::PoseMatches SurveyRows::PoseMatches::Of(const RelativePose& view,
                                                     const Image<Eigen::Vector2d>& flow_px,
                                                     double alike_points) {
   PoseMatches out{view, {}, {}, {}, alike_points};
-  const std::vector<StereoObservation> observations = ObservationsOf(field, unit_covariance);
-  const std::vector<std::size_t> places = ObservedPlaces(field, unit_covariance);
-  for (std::size_t i = 0; i < places.size(); ++i) {
-    const Eigen::Vector2d& flow = flow_px.data()[places[i]];
+  for (const std::size_t i : ObservedPlaces(field, unit_covariance)) {
+    const Eigen::Vector2d& flow = flow_px.data()[i];
     if (!flow.allFinite()) continue;
-    out.observations.push_back(observations[i]);
-    out.places.push_back(places[i]);
+    out.places.push_back(i);
     out.right_flow_px.push_back(flow);
   }
+  out.observations = ObservationsAt(out.places, field, unit_covariance);
   return out;
 }
 
@@ -282,11 +280,8 @@ void SurveyRows::MoveBack(const WheelReference& reference, const RightDelay& del
     }
     PoseMatches& pose = poses[f];
     for (std::size_t i = 0; i < pose.observations.size(); ++i) {
-      Eigen::Vector2d velocity = frame.speed_rad_s * pose.right_flow_px[i];
-      if (!frame.right_drift_px_s.empty()) {
-        velocity += frame.right_drift_px_s.data()[pose.places[i]];
-      }
-      pose.observations[i].right -= delay.value_s * velocity;
+      pose.observations[i].right -=
+          delay.value_s * RightVelocityAt(frame, pose.places[i], pose.right_flow_px[i]);
     }
     for (RollingPoint& p : frame.points) p.right_px -= delay.value_s * RightVelocityOf(frame, p);
     const StereoRig rig = TriangulateAnew(reference, refinement, f, &frame);
