@@ -339,6 +339,7 @@ void RollingRun::Impl::EvaluatePlaced(const StereoField& field, double time_s, s
     body.match_mode = delay.sigma_s > 0 ? ModeOf(VelocityOf(*by.flow, field, at), delay.sigma_s)
                                         : ModeOf(by.flow->Of(field.right), 0);
   }
+  if (delay.value_s != 0) body.right_common_px = RightDriftLeftOut(rolling, at, field.right);
   const std::optional<UncertainFrame> ground = GroundAt(at);
   if (ground) {
     body = internal::InGround(std::move(body), contact->frames[at].rotation.ground,

@@ -432,7 +432,12 @@ SeriesFrame SurfaceEvaluation::Evaluate(const StereoField& field, double time_s,
                                         const BodyMotion* body) {
   Impl& impl = *impl_;
   const Image<Eigen::Vector3f> unit = UnitCovariance(impl.reference, field);
-  const internal::RigWatch::Verdict verdict = impl.watch.Later(ObservationsOf(field, unit));
+  const std::vector<std::size_t> places = ObservedPlaces(field, unit);
+  std::vector<Eigen::Vector2d> common;
+  if (body != nullptr && !body->right_common_px.empty()) {
+    for (const std::size_t i : places) common.push_back(body->right_common_px.data()[i]);
+  }
+  const auto verdict = impl.watch.Later(ObservationsAt(places, field, unit), common);
   const std::optional<MatchMode> none;
   StereoSurface surface =
       impl.SurfaceOf(verdict, field, unit, body != nullptr ? body->match_mode : none);

@@ -70,6 +70,9 @@ struct BodyMotion {
   // else; the motions above then lead into it.
   std::optional<MeasurementFrame> told_in = {};
   std::optional<MatchMode> match_mode = {};  // of the pair's matches
+  // What one sigma of a random error that all right matches of the pair have in common does to them
+  // (px, of the grid); it counts in the pose of the cameras. Empty: nothing.
+  Image<Eigen::Vector2d> right_common_px = {};
 };
 
 // Numbers that sum one frame up, for people: medians over the valid points; NaN without any. Sigmas

@@ -3,6 +3,7 @@
 #include <Eigen/Eigenvalues>
 #include <algorithm>
 #include <cmath>
+#include <stdexcept>
 
 namespace plumbline {
 namespace {
@@ -27,13 +28,23 @@ RelativePose PoseOfPair(const StereoRig& rig, std::span<const StereoObservation>
 
 CameraMotion MotionSince(const StereoRig& rig, const RelativePose& earlier,
                          std::span<const StereoObservation> observations, double alike_points,
-                         const CameraMotionLimits& limits) {
+                         const CameraMotionLimits& limits,
+                         std::span<const Eigen::Vector2d> right_common_px) {
+  if (!right_common_px.empty() && right_common_px.size() != observations.size()) {
+    throw std::invalid_argument("MotionSince: not an error for each observation");
+  }
   RelativePoseOptions options;
   options.alike_points = alike_points;
   options.scale_by_scatter = true;
   options.other_pose = earlier.right_from_left;
   CameraMotion motion;
   motion.pose = RefineRelativePose(rig, observations, options);
+  if (!right_common_px.empty()) {
+    std::vector<StereoObservation> moved(observations.begin(), observations.end());
+    for (std::size_t i = 0; i < moved.size(); ++i) moved[i].right += right_common_px[i];
+    const Vector6 error = Between(motion.pose, RefineRelativePose(rig, moved, options)).change;
+    motion.pose.cov_random += error * error.transpose();
+  }
   motion.since = Between(earlier, motion.pose);
   motion.moved = limits.Beyond(motion.since.chi2, motion.pose.epipolar_rms_other_px,
                                motion.pose.epipolar_rms_after_px);

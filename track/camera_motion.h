@@ -46,11 +46,14 @@ struct CameraMotion {
                                       std::span<const StereoObservation> observations,
                                       double alike_points = 1);
 
-// observations: of the later pair. Throws InputError as RefineRelativePose().
+// observations: of the later pair. right_common_px: what one sigma of a random error that all of
+// them have in common adds to each right pixel; empty: nothing. Throws InputError as
+// RefineRelativePose(), std::invalid_argument where numbers differ.
 [[nodiscard]] CameraMotion MotionSince(const StereoRig& rig, const RelativePose& earlier,
                                        std::span<const StereoObservation> observations,
                                        double alike_points = 1,
-                                       const CameraMotionLimits& limits = {});
+                                       const CameraMotionLimits& limits = {},
+                                       std::span<const Eigen::Vector2d> right_common_px = {});
 
 // right_from_left after a motion of the right camera in its own frame (rotation vector rad,
 // translation mm).

@@ -10,6 +10,7 @@
 #include "calib/error.h"
 #include "calib/parallel.h"
 #include "match/planar_field.h"
+#include "track/internal/finite_differences.h"
 #include "track/internal/material_lookup.h"
 
 namespace plumbline {
@@ -32,6 +33,11 @@ void CheckFrame(const MaterialFrame& frame, const MaterialFrame& now) {
   }
   if (!frame.points.along_common_mm.empty()) {
     throw std::invalid_argument("VelocityOfMaterial: errors in common belong to the ground frame");
+  }
+  for (const Image<Eigen::Vector3f>& error : frame.along_own_mm) {
+    if (error.size() != frame.points.size()) {
+      throw std::invalid_argument("VelocityOfMaterial: errors of another grid");
+    }
   }
 }
 
@@ -107,6 +113,7 @@ class Velocities {
     }
     ForEachIndex(v_.per_s.pixel_count(), [&](std::size_t i) { SetVelocity(i); });
     SetGroundErrors(triple.ground_errors());
+    for (int f = 0; f < 3; ++f) SetOwnErrors(f);
     SetModes();
   }
 
@@ -135,40 +142,44 @@ class Velocities {
     return sum > 0.5;
   }
 
+  // By which places of the three frames make a velocity.
+  Eigen::Vector3d WeightsOf(VelocityFrom from) const {
+    Eigen::Vector3d weights = Eigen::Vector3d::Zero();
+    if (from == VelocityFrom::kNone) return weights;
+    const int first = from == VelocityFrom::kAfter ? kNow : kBefore;
+    const int last = from == VelocityFrom::kBefore ? kNow : kAfter;
+    std::vector<double> times;
+    for (int f = first; f <= last; ++f) times.push_back(triple_.at(f)->time_s);
+    const std::vector<double> slope =
+        internal::SlopeWeights(times, static_cast<std::size_t>(kNow - first));
+    for (int f = first; f <= last; ++f) weights[f] = slope[static_cast<std::size_t>(f - first)];
+    return weights;
+  }
+
   void SetVelocity(std::size_t i) {
+    // Of this frame, too, told by the points around, so that a curve takes all three to the same
+    // side: from one neighbour alone that would be taken for a motion.
+    Eigen::Matrix3d places = Eigen::Matrix3d::Zero();
+    for (int f = 0; f < 3; ++f) {
+      if (!SharesOf(f, i).empty()) {
+        places.col(f) = Interpolated(SharesOf(f, i), triple_.ground(f).point_mm);
+      }
+    }
     bool before = !SharesOf(kBefore, i).empty(), after = !SharesOf(kAfter, i).empty();
-    const double now_s = triple_.at(kNow)->time_s;
-    // Told by the points around as those beside it are, so that a curve takes all of them to the
-    // same side: from one neighbour alone that would be taken for a motion.
-    const Eigen::Vector3d now = Interpolated(SharesOf(kNow, i), triple_.ground(kNow).point_mm);
-    double since = 0, until = 0;
-    if (before) {
-      since = now_s - triple_.at(kBefore)->time_s;
-      v_.before_mm_s.data()[i] =
-          (now - Interpolated(SharesOf(kBefore, i), triple_.ground(kBefore).point_mm)) / since;
-    }
-    if (after) {
-      until = triple_.at(kAfter)->time_s - now_s;
-      v_.after_mm_s.data()[i] =
-          (Interpolated(SharesOf(kAfter, i), triple_.ground(kAfter).point_mm) - now) / until;
-    }
+    if (before) v_.before_mm_s.data()[i] = places * WeightsOf(VelocityFrom::kBefore);
+    if (after) v_.after_mm_s.data()[i] = places * WeightsOf(VelocityFrom::kAfter);
     const Image<std::uint8_t>& contact = triple_.at(kNow)->contact;
     if (before && after && !contact.empty() && contact.data()[i] != 0) {
       const bool touched = Touches(kBefore, i), will_touch = Touches(kAfter, i);
       if (touched != will_touch) (touched ? after : before) = false;
     }
     if (!before && !after) return;
-    // A parabola's slope is the mean of both lines', each weighted with the other's interval.
-    const double w = before && after ? until / (since + until) : before ? 1 : 0;
-    const double by_before = before ? w / since : 0, by_after = after ? (1 - w) / until : 0;
-    v_.per_s.data()[i] = {-by_before, by_before - by_after, by_after};
-    v_.from.data()[i] = before && after ? VelocityFrom::kBoth
-                        : before        ? VelocityFrom::kBefore
-                                        : VelocityFrom::kAfter;
-    Eigen::Vector3d value = Eigen::Vector3d::Zero();
-    if (before) value += w * v_.before_mm_s.data()[i];
-    if (after) value += (1 - w) * v_.after_mm_s.data()[i];
-    v_.value_mm_s.data()[i] = value;
+    const VelocityFrom from = before && after ? VelocityFrom::kBoth
+                              : before        ? VelocityFrom::kBefore
+                                              : VelocityFrom::kAfter;
+    v_.from.data()[i] = from;
+    v_.per_s.data()[i] = WeightsOf(from);
+    v_.value_mm_s.data()[i] = places * v_.per_s.data()[i];
   }
 
   // What an error does to the velocities that moves a point i of frame f by of(f, i).
@@ -195,6 +206,18 @@ class Velocities {
         return turn.cross(Interpolated(SharesOf(f, i), triple_.ground(f).point_mm)) + shift;
       }));
       v_.turn_along_common_rad.emplace_back(errors[kNow].col(k).head<3>());
+    }
+  }
+
+  void SetOwnErrors(int frame) {
+    if (triple_.at(frame) == nullptr) return;
+    const Eigen::Matrix3d& turn = triple_.at(frame)->ground.frame_from_rig.rotation;
+    for (const Image<Eigen::Vector3f>& error : triple_.at(frame)->along_own_mm) {
+      v_.along_common_mm_s.push_back(Combined([&](int f, std::size_t i) -> Eigen::Vector3d {
+        if (f != frame) return Eigen::Vector3d::Zero();
+        return turn * Interpolated(SharesOf(f, i), error);
+      }));
+      v_.turn_along_common_rad.emplace_back(Eigen::Vector3d::Zero());
     }
   }
 

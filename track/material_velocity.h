@@ -20,6 +20,9 @@ struct MaterialFrame {
   // In the rig, without errors in common. Random: of the place of a given bit of material, the
   // error of what tells which material it is included.
   SurfacePoints points;
+  // Of random errors that the points of this frame alone have in common, as those of the cameras'
+  // pose: what one sigma of each does to them (rig frame). Empty: none.
+  std::vector<Image<Eigen::Vector3f>> along_own_mm;
   // Which material: its angle on the wheel (rad, any turn), its place along the axis (mm) and its
   // undeformed radius (mm).
   Image<Eigen::Vector3d> material;
@@ -48,8 +51,8 @@ struct MaterialVelocity {
   // Over the time since the frame before and until the frame after, each by itself.
   Image<Eigen::Vector3d> before_mm_s, after_mm_s;
   Image<Eigen::Matrix<float, 6, 1>> cov_random_mm2_s2;  // independent noise: xx xy xz yy yz zz
-  // What one sigma does of each random error in common (of the ground frames) and of each mode; and
-  // how it turns the ground frame of the moment (rad).
+  // What one sigma does of each random error in common (those of the ground frames, then each
+  // frame's own) and of each mode; and how it turns the ground frame of the moment (rad).
   std::vector<Image<Eigen::Vector3f>> along_common_mm_s, along_modes_mm_s;
   std::vector<Eigen::Vector3d> turn_along_common_rad, turn_along_modes_rad;
 
@@ -88,8 +91,8 @@ struct FrameTriple {
 // material moves straight, before and behind it does not (docs/theory.md).
 //
 // Throws UsageError from the options; std::invalid_argument where grids, modes, contact or numbers
-// of errors differ or points have errors in common; InputError where the times do not grow.
-// The same for any number of threads. Accuracy: tests/track/material_velocity_test.cc.
+// of errors differ or points have errors in common beside along_own_mm; InputError where the times
+// do not grow. The same for any number of threads. Accuracy: tests/track/material_velocity_test.cc.
 [[nodiscard]] MaterialVelocity VelocityOfMaterial(const FrameTriple& frames,
                                                   const NeighbourCorrelation& neighbours,
                                                   const MaterialVelocityOptions& options = {});

@@ -381,6 +381,12 @@ void RollingAnglesOptions::Check() const {
   if (!(outlier_sigmas > 0)) throw UsageError("An outlier must be off by more than 0 sigmas.");
 }
 
+double RollingAngles::SpeedSpread(std::size_t frame, double since, double until) const {
+  const double before = since > 0 ? frames[frame].turn_spread_rad / since : 0;
+  const double after = until > 0 ? frames[frame + 1].turn_spread_rad / until : 0;
+  return std::max(before, after);
+}
+
 double RollingAngles::Ahead(double place_rad, double y_mm) const {
   const int column = static_cast<int>(std::floor((place_rad - first_place_rad) / knot_rad));
   const int row = static_cast<int>(std::floor((y_mm - first_y_mm) / knot_mm));

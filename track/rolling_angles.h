@@ -80,6 +80,9 @@ struct RollingAngles {
 
   // How far the surface at a place is ahead of the wheel (rad); NaN where no frame shows it.
   double Ahead(double place_rad, double y_mm) const;
+  // By how much the speed of a frame may be off (rad a unit of time) because places disagree on the
+  // turns since the frame before and until the one after, so much time away; 0: there is none.
+  double SpeedSpread(std::size_t frame, double since, double until) const;
 
   static constexpr double kHidden = 4;
 

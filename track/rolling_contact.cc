@@ -14,6 +14,7 @@
 #include "match/correlation_area.h"
 #include "match/neighbour_correlation.h"
 #include "track/internal/axis_along_modes.h"
+#include "track/internal/finite_differences.h"
 #include "track/internal/frame_points.h"
 #include "track/internal/turning_over_ground.h"
 
@@ -94,6 +95,7 @@ class ContactOfRun {
     return clock_ ? frame.time_s : static_cast<double>(frame.index);
   }
   void CountChangesOfSpeed(RollingContact* contact) const;
+  void CountTurnsAtEnds(RollingContact* contact) const;
   double SigmaOf(std::size_t f) const;
 
   const WheelReference& reference_;
@@ -255,6 +257,7 @@ std::optional<FrameOverGround> ContactOfRun::OverGround(std::size_t f,
   frame.time_s = points.time_s;
   frame.contact = InContact(points, contact.frames[f]);
   frame.points = std::move(points.now);
+  frame.along_own_mm = std::move(points.along_pose_mm);
   frame.material = std::move(points.material);
   frame.ground = GroundFrameOf(contact.frames[f].rotation, reference_.axis);
   out.undeformed = std::move(points.undeformed);
@@ -311,9 +314,11 @@ void ContactOfRun::Slip(std::size_t f, FrameTriple frames, RollingContact* conta
   for (const RigRotationFrame& ground : grounds) times.push_back(ground.time_s);
   const std::vector<double> weights = internal::SlopeWeights(times, f - first);
   wheel.speed_rad_s = internal::TurningOverGround(rolling_, first, f, grounds, weights);
-  wheel.speed_along_common_rad_s = Eigen::RowVectorXd::Zero(root.cols());
+  wheel.speed_along_common_rad_s =
+      Eigen::RowVectorXd::Zero(static_cast<Eigen::Index>(velocity.along_common_mm_s.size()));
   for (std::size_t k = 0; k < weights.size(); ++k) {
-    wheel.speed_along_common_rad_s -= weights[k] * root.row(3 * static_cast<Eigen::Index>(k));
+    wheel.speed_along_common_rad_s.head(root.cols()) -=
+        weights[k] * root.row(3 * static_cast<Eigen::Index>(k));
   }
   std::optional<MeasuredScalar> channel;
   if (options_.vehicle_speed_mm_s) {
@@ -361,16 +366,36 @@ void ContactOfRun::CountChangesOfSpeed(RollingContact* contact) const {
     const RollingSlip &before = contact->frames[f - 1].slip, &now = contact->frames[f].slip,
                       &after = contact->frames[f + 1].slip;
     if (!before.found || !now.found || !after.found) continue;
-    const double since_s = TimeOf(f) - TimeOf(f - 1), until_s = TimeOf(f + 1) - TimeOf(f);
-    const double bend = 2 *
-                        ((after.speed_mm_s.value - now.speed_mm_s.value) / until_s -
-                         (now.speed_mm_s.value - before.speed_mm_s.value) / since_s) /
-                        (since_s + until_s);
-    left_out[f] = bend * since_s * until_s / 6;
+    const std::array<double, 3> bend =
+        internal::BendWeights({TimeOf(f - 1), TimeOf(f), TimeOf(f + 1)});
+    left_out[f] = (bend[0] * before.speed_mm_s.value + bend[1] * now.speed_mm_s.value +
+                   bend[2] * after.speed_mm_s.value) *
+                  (TimeOf(f) - TimeOf(f - 1)) * (TimeOf(f + 1) - TimeOf(f)) / 6;
   }
   for (std::size_t f = 0; f < left_out.size(); ++f) {
     double& sigma = contact->frames[f].slip.speed_mm_s.sigma_random;
     sigma = std::hypot(sigma, left_out[f]);
+  }
+}
+
+// From one neighbour alone the direction of the velocity, too, is that of half-way to it. By how
+// much the neighbour's is another counts as an error.
+void ContactOfRun::CountTurnsAtEnds(RollingContact* contact) const {
+  const auto over_ground = [&](std::size_t f) {
+    return f < contact->frames.size() && Placed(f) && contact->frames[f].rotation.found;
+  };
+  std::vector<double> turned(contact->frames.size(), 0);
+  for (std::size_t f = 0; f < turned.size(); ++f) {
+    const bool before = f > 0 && over_ground(f - 1);
+    if (before == over_ground(f + 1)) continue;
+    const RollingSlip &here = contact->frames[f].slip,
+                      &beside = contact->frames[before ? f - 1 : f + 1].slip;
+    if (!here.found || !beside.found) continue;
+    turned[f] = beside.slip_angle_rad.value - here.slip_angle_rad.value;
+  }
+  for (std::size_t f = 0; f < turned.size(); ++f) {
+    double& sigma = contact->frames[f].slip.slip_angle_rad.sigma_random;
+    sigma = std::hypot(sigma, turned[f]);
   }
 }
 
@@ -404,7 +429,10 @@ RollingContact ContactOfRun::Find() {
     }
     before = std::exchange(now, std::move(after));
   }
-  if (clock_) CountChangesOfSpeed(&contact);
+  if (clock_) {
+    CountChangesOfSpeed(&contact);
+    CountTurnsAtEnds(&contact);
+  }
   return contact;
 }
 

@@ -157,7 +157,7 @@ void RollingSurvey::Impl::Keep(const Prepared& by, RollingFrame& frame) {
   if (by.pose) {
     pose = internal::SurveyRows::PoseMatches::Of(*by.pose, field, unit, flow_px, by.alike_points);
   }
-  const StereoRig rig = internal::RigOfFrame(wheel.rig, pose.view, pose.observations,
+  const StereoRig rig = internal::RigOfFrame(wheel.rig, pose.view, pose.observations, {},
                                              pose.alike_points, options.refinement, &frame);
   const StereoSurface surface = TriangulateField(rig, field, unit);
   const auto cov = CovarianceOf(surface.instant, unit);

@@ -114,6 +114,7 @@ struct RollingFrame {
   // How the right pixels go beside the wheel's turn (FindRightDrift; px/s), on RollingWheel::grid;
   // empty where the frames beside do not tell it or it was not asked for.
   Image<Eigen::Vector2d> right_drift_px_s;
+  double right_drift_left_out = 0;  // how much of it may be, one sigma (RightDriftLeftOutAt)
   // What all else of the frame follows from: the view's points in both images, on
   // RollingWheel::grid, with the displacements as floats hold them and before a delay of the right
   // camera is taken out; and the wheel's angle near which it was looked for. Of a frame that is

@@ -58,12 +58,13 @@ RigWatch::Verdict RigWatch::Reference(std::span<const StereoObservation> observa
   return verdict;
 }
 
-RigWatch::Verdict RigWatch::Later(std::span<const StereoObservation> observations) const {
+RigWatch::Verdict RigWatch::Later(std::span<const StereoObservation> observations,
+                                  std::span<const Eigen::Vector2d> right_common_px) const {
   Verdict verdict{{}, base_, {}};
   try {
     if (!first_) throw InputError("the reference pair does not tell the pose of the cameras");
-    const CameraMotion motion =
-        MotionSince(rig_, *first_, observations, options_.alike_points, options_.limits);
+    const CameraMotion motion = MotionSince(rig_, *first_, observations, options_.alike_points,
+                                            options_.limits, right_common_px);
     const PoseChange& since = motion.since;
     verdict.record = RecordOf(motion.pose);
     verdict.record.chi2_first = since.chi2;

@@ -44,7 +44,9 @@ class RigWatch {
 
   // observations: as for RefineRelativePose().
   Verdict Reference(std::span<const StereoObservation> observations);
-  Verdict Later(std::span<const StereoObservation> observations) const;
+  // right_common_px: as MotionSince().
+  Verdict Later(std::span<const StereoObservation> observations,
+                std::span<const Eigen::Vector2d> right_common_px = {}) const;
 
   static constexpr int kPoseModes = 10;
 

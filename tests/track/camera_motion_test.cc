@@ -2,7 +2,10 @@
 
 #include <gtest/gtest.h>
 
+#include <cmath>
 #include <cstdint>
+#include <random>
+#include <stdexcept>
 #include <vector>
 
 #include "tests/support/rendered_surface.h"
@@ -49,6 +52,32 @@ TEST(CameraMotion, IsFoundWithErrorsThatCoverIt) {
     }
   }
   EXPECT_NEAR(nees, 5, 1.3);
+}
+
+// Right pixels that are all off together by a pattern that looks like a motion in part.
+TEST(CameraMotion, CountsAnErrorThatAllMatchesHaveInCommon) {
+  const StereoRig rig = Rig();
+  std::mt19937 random(5);
+  std::normal_distribution<double> normal;
+  double nees = 0, nees_without = 0;
+  constexpr int kDraws = 60;
+  for (std::uint32_t draw = 0; draw < kDraws; ++draw) {
+    const RelativePose first = PoseOfPair(rig, See(rig, 2 * draw));
+    std::vector<StereoObservation> later = See(rig, 2 * draw + 1);
+    std::vector<Eigen::Vector2d> pattern;
+    const double size = normal(random);
+    for (StereoObservation& o : later) {
+      pattern.emplace_back(0, 0.02 * std::sin(o.right.x() / 150));
+      o.right += size * pattern.back();
+    }
+    nees += MotionSince(rig, first, later, 1, {}, pattern).since.chi2 / 5 / kDraws;
+    nees_without += MotionSince(rig, first, later).since.chi2 / 5 / kDraws;
+  }
+  EXPECT_NEAR(nees, 1, 0.3);
+  EXPECT_GT(nees_without, 3);
+  EXPECT_THROW((void)MotionSince(rig, PoseOfPair(rig, See(rig, 1)), See(rig, 2), 1, {},
+                                 std::vector<Eigen::Vector2d>(3)),
+               std::invalid_argument);
 }
 
 TEST(CameraMotion, IsNoneWhereThereIsNoneOrTheLensesAloneAreWrong) {

@@ -234,6 +234,17 @@ TEST_F(NoisyVelocity, CovarianceIsThatOfSampling) {
     for (double& n : numbers) n = normal(random);
     return numbers;
   };
+  // Each frame with two errors of its own that its points have in common.
+  for (MaterialFrame& frame : frames_) {
+    const Image<Eigen::Vector3d>& points = frame.points.point_mm;
+    frame.along_own_mm.assign(2, Image<Eigen::Vector3f>(points.size(), Eigen::Vector3f::Zero()));
+    for (std::size_t i = 0; i < points.pixel_count(); ++i) {
+      const Eigen::Vector3d& p = points.data()[i];
+      frame.along_own_mm[0].data()[i] = (kTurn_rad * p).cast<float>();
+      frame.along_own_mm[1].data()[i] =
+          (kTurn_rad * Eigen::Vector3d(p.y(), 0, p.x())).cast<float>();
+    }
+  }
   const MaterialVelocity exact = Of(frames_);
   // Points of all kinds, far from each other.
   std::vector<std::size_t> places;
@@ -253,6 +264,12 @@ TEST_F(NoisyVelocity, CovarianceIsThatOfSampling) {
     Eigen::Matrix<double, 6, 1> ground = six();
     for (std::size_t f = 0; f < 3; ++f) {
       wheel_.AddNoise(noisy[f].points, kDepth_mm, kAcross_mm, random);
+      for (const Image<Eigen::Vector3f>& own : noisy[f].along_own_mm) {
+        const double size = normal(random);
+        for (std::size_t i = 0; i < own.pixel_count(); ++i) {
+          noisy[f].points.point_mm.data()[i] += size * own.data()[i].cast<double>();
+        }
+      }
       if (f > 0) {
         ground = kGroundCorrelation * ground +
                  std::sqrt(1 - kGroundCorrelation * kGroundCorrelation) * six();

@@ -19,11 +19,11 @@ constexpr int kFrames = 5, kStep_px = 10;
 // The truth of a loaded tyre as a survey without errors would tell it, and how the right pixels go.
 class RolledTruth {
  public:
-  explicit RolledTruth(const std::string& scenario)
-      : RolledTruth(testing::LiftedWheel(ScenarioOf(scenario))) {}
+  explicit RolledTruth(const std::string& scenario, double step_rad = 2 * kDegrees)
+      : RolledTruth(testing::LiftedWheel(ScenarioOf(scenario, step_rad))) {}
   // Root mean squares over the points of a frame, px/s.
   struct Rms {
-    double velocity = 0, without_drift = 0, with_it = 0;
+    double velocity = 0, without_drift = 0, with_it = 0, left_out = 0;
   };
   Rms Off(std::size_t f) const {
     Rms rms;
@@ -34,8 +34,10 @@ class RolledTruth {
       rms.velocity += true_px_s.squaredNorm();
       rms.without_drift += (frame.speed_rad_s * p.right_flow_px - true_px_s).squaredNorm();
       rms.with_it += (RightVelocityOf(frame, p) - true_px_s).squaredNorm();
+      const int place = p.at.y() * survey.grid.width + p.at.x();
+      rms.left_out += RightDriftLeftOutAt(frame, static_cast<std::size_t>(place)).squaredNorm();
     }
-    for (double* sum : {&rms.velocity, &rms.without_drift, &rms.with_it}) {
+    for (double* sum : {&rms.velocity, &rms.without_drift, &rms.with_it, &rms.left_out}) {
       *sum = std::sqrt(*sum / static_cast<double>(frame.points.size()));
     }
     return rms;
@@ -55,11 +57,11 @@ class RolledTruth {
     for (int f = 0; f < kFrames; ++f) AddFrame(rolled, f);
   }
 
-  static Scenario ScenarioOf(const std::string& name) {
+  static Scenario ScenarioOf(const std::string& name, double step_rad) {
     RigDesign design = DesignOf(RigKind::kWide640);
     design.image_size = {320, 240};
     design.pixel_um *= 2;
-    return testing::TurningBy(2 * kDegrees, kFrames,
+    return testing::TurningBy(step_rad, kFrames,
                               MakeScenario(name, plumbline::MakeRig(design), design.distance_mm));
   }
 
@@ -125,6 +127,22 @@ TEST(RightDrift, TellsMostOfWhatAnObstacleUnderTheTyreAdds) {
     EXPECT_GT(off.without_drift, 0.15 * off.velocity) << f;
     // At the ends both frames beside are on one side.
     EXPECT_LT(off.with_it, (f % (kFrames - 1) == 0 ? 0.4 : 0.3) * off.without_drift) << f;
+  }
+}
+
+TEST(RightDrift, IsOffByAsMuchAsItSays) {
+  for (const double step_rad : {2 * kDegrees, 4 * kDegrees}) {
+    for (const char* scenario : {"cleat-lateral-square38", "cleat-diagonal-square38"}) {
+      RolledTruth truth(scenario, step_rad);
+      FindRightDrift(truth.wheel, &truth.survey);
+      double squares = 0;
+      for (std::size_t f = 0; f < kFrames; ++f) {
+        const RolledTruth::Rms off = truth.Off(f);
+        squares += std::pow(off.with_it / off.left_out, 2) / kFrames;
+      }
+      EXPECT_GT(squares, 0.4) << scenario << step_rad;
+      EXPECT_LT(squares, 1.5) << scenario << step_rad;
+    }
   }
 }
 

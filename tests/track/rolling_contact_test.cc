@@ -11,6 +11,7 @@
 #include "tests/support/true_wheel.h"
 #include "tests/track/lifted_wheel.h"
 #include "track/carcass_modes.h"
+#include "track/internal/finite_differences.h"
 #include "track/internal/turning_over_ground.h"
 #include "track/right_flow.h"
 
@@ -151,6 +152,31 @@ TEST_F(RollingContactOfAnArc, CountsWhatAParabolaLeavesOutOfASpeedThatChanges) {
   const double off = speed(3).value - rolling_->Wheel(3).speed_mm_s / 2;
   EXPECT_GT(std::abs(off), 0.3 * left_out);
   EXPECT_LT(std::abs(off), 2 * speed(3).sigma_random);
+}
+
+// A wheel that is seen to drift to the side more and more: from the last frame's one neighbour
+// alone half a step of that is missed.
+TEST_F(RollingContactOfAnArc, CountsAtTheEndsByHowMuchTheSlipAngleChanges) {
+  const RollingContact even = FindRollingContact(*reference_, *survey_, Options());
+  RollingWheel drifting = *survey_;
+  const Eigen::Vector3d axis = reference_->axis.direction_in_rig();
+  for (std::size_t f = 0; f < drifting.frames.size(); ++f) {
+    for (RollingPoint& p : drifting.frames[f].points) {
+      p.point_mm += 0.02 * static_cast<double>(f * f) * axis;
+    }
+  }
+  const RollingContact found = FindRollingContact(*reference_, drifting, Options());
+  const auto change = [&](std::size_t f) {
+    return found.frames[f].slip.slip_angle_rad.value - even.frames[f].slip.slip_angle_rad.value;
+  };
+  const MeasuredScalar &last = found.frames[6].slip.slip_angle_rad,
+                       &before = found.frames[5].slip.slip_angle_rad;
+  ASSERT_GT(std::abs(change(6) - change(5)), 5e-4);
+  EXPECT_GE(last.sigma_random, 0.999 * std::abs(last.value - before.value));
+  EXPECT_LT(before.sigma_random, 0.5 * last.sigma_random);
+  // The slope at the last frame is as much above the line's as that is above the slope before it.
+  const double missed = change(6) - change(5);
+  EXPECT_NEAR(change(5) - change(4), 2 * missed, 0.2 * std::abs(missed));
 }
 
 TEST(GroundPitches, AreNoneOfARigThatStandsStillAndOfTheNearestFrameWhereNotKnown) {

@@ -7,6 +7,8 @@
 #include <span>
 #include <vector>
 
+#include "track/internal/finite_differences.h"
+
 namespace plumbline {
 namespace {
 
@@ -41,20 +43,6 @@ struct Swing {
     return internal::SpeedAtEnd(wheel, last - 1, last, last, std::span(poses).last(3));
   }
 };
-
-TEST(SlopeWeights, FollowAParabolaBetweenTimesThatAreNotAlikeApart) {
-  const auto value = [](double t) { return 3 * t * t - 2 * t + 5; };
-  const std::vector<double> times = {0.02, 0.04, 0.08};
-  for (std::size_t at = 0; at < times.size(); ++at) {
-    const std::vector<double> weights = internal::SlopeWeights(times, at);
-    double slope = 0;
-    for (std::size_t k = 0; k < times.size(); ++k) slope += weights[k] * value(times[k]);
-    EXPECT_NEAR(slope, 6 * times[at] - 2, 1e-12);
-  }
-  const std::vector<double> of_a_line = internal::SlopeWeights(std::span(times).first(2), 0);
-  EXPECT_NEAR(of_a_line[0] * value(0.02) + of_a_line[1] * value(0.04),
-              (value(0.04) - value(0.02)) / 0.02, 1e-12);
-}
 
 // The frame after the one that is looked at is lost.
 struct SwingWithAGap : Swing {

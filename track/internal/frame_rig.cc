@@ -15,14 +15,16 @@ std::optional<RelativePose> PoseOfView(const StereoRig& rig, const StereoField& 
 }
 
 StereoRig RigOfFrame(const StereoRig& rig, const std::optional<RelativePose>& view,
-                     std::span<const StereoObservation> observations, double alike_points,
+                     std::span<const StereoObservation> observations,
+                     std::span<const Eigen::Vector2d> right_common_px, double alike_points,
                      PoseRefinement refinement, RollingFrame* frame) {
   frame->right_from_left.reset();
   frame->right_from_left_moved.clear();
   if (!view) return rig;
   StereoRig now = rig;
   try {
-    const CameraMotion motion = MotionSince(rig, *view, observations, alike_points);
+    const CameraMotion motion =
+        MotionSince(rig, *view, observations, alike_points, {}, right_common_px);
     if (!motion.moved && refinement != PoseRefinement::kAlways) return rig;
     now.right_from_left = WithBaselineOf(rig, PoseAfter(motion.since.change, rig.right_from_left));
     for (const auto& error : ErrorsOfMotion(motion.since.cov_random, rig.baseline_mm())) {

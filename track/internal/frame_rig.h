@@ -20,9 +20,10 @@ namespace plumbline::internal {
 
 // The rig as it was in a frame: with the pose of the right camera refined, and told in the frame,
 // where it has moved since the view was taken (or always). Without a pose of the view, or where the
-// frame's matches tell none, it is the calibrated one.
+// frame's matches tell none, it is the calibrated one. right_common_px: as MotionSince().
 [[nodiscard]] StereoRig RigOfFrame(const StereoRig& rig, const std::optional<RelativePose>& view,
                                    std::span<const StereoObservation> observations,
+                                   std::span<const Eigen::Vector2d> right_common_px,
                                    double alike_points, PoseRefinement refinement,
                                    RollingFrame* frame);
 

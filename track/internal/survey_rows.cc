@@ -1,6 +1,5 @@
 #include "track/internal/survey_rows.h"
 
-#include <algorithm>
 #include <cmath>
 #include <cstddef>
 #include <limits>
@@ -20,16 +19,6 @@ namespace plumbline::internal {
 namespace {
 
 constexpr double kTurn_rad = 2 * std::numbers::pi;
-
-// By how much the speed of a frame may be off because places disagree on the turns beside it.
-double SpeedSpread(const RollingAngles& angles, const std::vector<double>& times, std::size_t f) {
-  const auto beside = [&](std::size_t later) {
-    return later == 0 || later >= times.size()
-               ? 0
-               : angles.frames[later].turn_spread_rad / (times[later] - times[later - 1]);
-  };
-  return std::max(beside(f), beside(f + 1));
-}
 
 void AppendRow(const Eigen::RowVectorXd& row, Eigen::MatrixXd* rows) {
   rows->conservativeResize(rows->rows() + 1, row.size());
@@ -87,7 +76,9 @@ SurveyRows::PoseMatches SurveyRows::PoseMatches::Of(const RelativePose& view,
                                                     const Image<Eigen::Vector3f>& unit_covariance,
                                                     const Image<Eigen::Vector2d>& flow_px,
                                                     double alike_points) {
-  PoseMatches out{view, {}, {}, {}, alike_points};
+  PoseMatches out;
+  out.view = view;
+  out.alike_points = alike_points;
   for (const std::size_t i : ObservedPlaces(field, unit_covariance)) {
     const Eigen::Vector2d& flow = flow_px.data()[i];
     if (!flow.allFinite()) continue;
@@ -224,8 +215,10 @@ void SurveyRows::FindAngles(const WheelReference& reference,
     if (modes) frame.sigma_calibration_rad = wheel->angle_along_modes_rad.col(column).norm();
     if (!clock) continue;
     frame.speed_rad_s = s.speed_rad_s;
+    const double since = f > 0 ? times[f] - times[f - 1] : 0;
+    const double until = f + 1 < times.size() ? times[f + 1] - times[f] : 0;
     frame.sigma_random_rad_s =
-        std::hypot(s.sigma_speed_rad_s, SpeedSpread(wheel->deformation, times, f),
+        std::hypot(s.sigma_speed_rad_s, wheel->deformation.SpeedSpread(f, since, until),
                    smooth.speed_along_rad_s.col(column).tail(of_reference).norm());
     if (modes) frame.sigma_calibration_rad_s = wheel->speed_along_modes_rad_s.col(column).norm();
   }
@@ -235,7 +228,7 @@ StereoRig SurveyRows::TriangulateAnew(const WheelReference& reference, PoseRefin
                                       std::size_t f, RollingFrame* frame) {
   const Rigid3 wheel_from_rig = reference.axis.RigFromWheel(0).Inverse();
   StereoRig rig = RigOfFrame(reference.rig, poses[f].view, poses[f].observations,
-                             poses[f].alike_points, refinement, frame);
+                             poses[f].right_common_px, poses[f].alike_points, refinement, frame);
   std::vector<Eigen::Vector2d> left, right;
   for (const RollingPoint& p : frame->points) {
     left.push_back(p.left_px);
@@ -279,9 +272,11 @@ void SurveyRows::MoveBack(const WheelReference& reference, const RightDelay& del
           "times (--timestamps or --fps)");
     }
     PoseMatches& pose = poses[f];
+    pose.right_common_px.clear();
     for (std::size_t i = 0; i < pose.observations.size(); ++i) {
       pose.observations[i].right -=
           delay.value_s * RightVelocityAt(frame, pose.places[i], pose.right_flow_px[i]);
+      pose.right_common_px.push_back(delay.value_s * RightDriftLeftOutAt(frame, pose.places[i]));
     }
     for (RollingPoint& p : frame.points) p.right_px -= delay.value_s * RightVelocityOf(frame, p);
     const StereoRig rig = TriangulateAnew(reference, refinement, f, &frame);

@@ -24,11 +24,12 @@ Eigen::Vector2d RightPixelAt(const PlanarField& right, const Eigen::Vector2d& le
 // by, so that both can be told again when the right pixels have moved. One entry a frame.
 struct SurveyRows {
   struct PoseMatches {
-    std::optional<RelativePose> view;             // of the reference image; nothing: not refined
-    std::vector<StereoObservation> observations;  // of the frame
-    std::vector<std::size_t> places;              // of each on the grid, row * columns + column
-    std::vector<Eigen::Vector2d> right_flow_px;   // of each, a radian
-    double alike_points = 1;                      // of RelativePoseOptions
+    std::optional<RelativePose> view;              // of the reference image; nothing: not refined
+    std::vector<StereoObservation> observations;   // of the frame
+    std::vector<std::size_t> places;               // of each on the grid, row * columns + column
+    std::vector<Eigen::Vector2d> right_flow_px;    // of each, a radian
+    std::vector<Eigen::Vector2d> right_common_px;  // of each, as MotionSince(); or empty
+    double alike_points = 1;                       // of RelativePoseOptions
 
     static PoseMatches Of(const RelativePose& view, const StereoField& field,
                           const Image<Eigen::Vector3f>& unit_covariance,

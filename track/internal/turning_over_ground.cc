@@ -1,8 +1,9 @@
 #include "track/internal/turning_over_ground.h"
 
-#include <algorithm>
+#include <array>
 #include <cmath>
-#include <vector>
+
+#include "track/internal/finite_differences.h"
 
 namespace plumbline::internal {
 namespace {
@@ -11,25 +12,22 @@ double MeanSpeed(const RollingWheel& wheel, std::size_t first, std::size_t last)
   return (wheel.frames[first].speed_rad_s + wheel.frames[last].speed_rad_s) / 2;
 }
 
-// Of the slope of the parabola through three angles: by what each frame says of its own, by what
-// they have in common, and by how far places disagree on the turns beside f. Of two, and where a
-// channel tells the turns, that of the smoothed speed.
+// Of the slope of the parabola through three angles, f in the middle: by what each frame says of
+// its own, by what they have in common, and by how far places disagree on the turns beside f. Of
+// two, and where a channel tells the turns, that of the smoothed speed.
 double SigmaOfSlope(const RollingWheel& wheel, std::size_t first, std::size_t f,
                     std::span<const double> weights) {
   const RollingFrame& frame = wheel.frames[f];
   if (weights.size() < 3 || std::isfinite(frame.channel_lean)) return frame.sigma_random_rad_s;
   double variance = 0;
   Eigen::VectorXd common = Eigen::VectorXd::Zero(wheel.angle_along_reference_rad.rows());
-  double spread = 0;
   for (std::size_t k = 0; k < weights.size(); ++k) {
-    const RollingFrame& told = wheel.frames[first + k];
-    variance += std::pow(weights[k] * told.sigma_measured_rad, 2);
+    variance += std::pow(weights[k] * wheel.frames[first + k].sigma_measured_rad, 2);
     common +=
         weights[k] * wheel.angle_along_reference_rad.col(static_cast<Eigen::Index>(first + k));
-    if (k == 0) continue;
-    const double interval_s = told.time_s - wheel.frames[first + k - 1].time_s;
-    spread = std::max(spread, wheel.deformation.frames[first + k].turn_spread_rad / interval_s);
   }
+  const double spread = wheel.deformation.SpeedSpread(f, frame.time_s - wheel.frames[f - 1].time_s,
+                                                      wheel.frames[f + 1].time_s - frame.time_s);
   return std::sqrt(variance + common.squaredNorm() + spread * spread);
 }
 
@@ -47,30 +45,20 @@ RateChange RateAtEnd(std::span<const RigRotationFrame> poses, bool begins) {
     if (!frame.known[0]) return {};
   }
   if (poses.size() < 3) return {};
-  // The second divided difference: the sum over the three of pose / product of the times to others.
-  const RigRotationFrame &a = poses[0], &b = poses[1], &c = poses[2];
-  const double way_s = begins ? a.time_s - b.time_s : c.time_s - b.time_s;
-  const double ab_s = b.time_s - a.time_s, bc_s = c.time_s - b.time_s, ac_s = c.time_s - a.time_s;
+  const double middle_s = poses[1].time_s;
+  const double half_way_s = ((begins ? poses[0].time_s : poses[2].time_s) - middle_s) / 2;
+  const std::array<double, 3> bend = BendWeights({poses[0].time_s, middle_s, poses[2].time_s});
   const Eigen::MatrixXd root = RandomRoot(poses);
-  const Eigen::RowVectorXd error =
-      root.row(0) / (ab_s * ac_s) - root.row(3) / (ab_s * bc_s) + root.row(6) / (ac_s * bc_s);
-  return {way_s * (RateOf(b, c) - RateOf(a, b)) / ac_s, std::abs(way_s) * error.norm()};
+  double change = 0;
+  Eigen::RowVectorXd error = Eigen::RowVectorXd::Zero(root.cols());
+  for (std::size_t k = 0; k < 3; ++k) {
+    change += half_way_s * bend[k] * poses[k].pose[0];
+    error += half_way_s * bend[k] * root.row(3 * static_cast<Eigen::Index>(k));
+  }
+  return {change, error.norm()};
 }
 
 }  // namespace
-
-std::vector<double> SlopeWeights(std::span<const double> times, std::size_t at) {
-  if (times.size() == 2) {
-    const double per_s = 1 / (times[1] - times[0]);
-    return {-per_s, per_s};
-  }
-  std::vector<double> weights(3);
-  for (std::size_t k = 0; k < 3; ++k) {
-    const double t = times[k], u = times[(k + 1) % 3], v = times[(k + 2) % 3];
-    weights[k] = (2 * times[at] - u - v) / ((t - u) * (t - v));
-  }
-  return weights;
-}
 
 MeasuredScalar TurningOverGround(const RollingWheel& wheel, std::size_t first, std::size_t f,
                                  std::span<const RigRotationFrame> poses,

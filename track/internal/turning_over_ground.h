@@ -2,17 +2,12 @@
 
 #include <cstddef>
 #include <span>
-#include <vector>
 
 #include "fit/surface_points.h"
 #include "track/rig_rotation.h"
 #include "track/rolling_survey.h"
 
 namespace plumbline::internal {
-
-// By which values at two or three growing times make a slope (1 / unit of time): of the line, or of
-// the parabola at times[at].
-[[nodiscard]] std::vector<double> SlopeWeights(std::span<const double> times, std::size_t at);
 
 // The speed at which a wheel turns over the ground in frame f, by the poses of frame `first` and
 // the one or two after it, of which f is one: the one that the rig sees, less that at which the
