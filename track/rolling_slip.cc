@@ -160,7 +160,8 @@ class Wheel {
     const Eigen::Matrix3d by_own = turn_ * wheel_.axis.rotation * -Skew(Eigen::Vector3d::UnitY());
     const Eigen::RowVector3d own = by_axis * by_own;
     errors.AddIndependent(own * wheel_.cov_axis_random.topLeftCorner<3, 3>() * own.transpose());
-    if (wheel_.axis_along_modes.rows() == sticking_.along_modes.cols()) {
+    const Eigen::Index modes = sticking_.along_modes.cols();
+    if (modes > 0 && wheel_.axis_along_modes.rows() == modes) {
       errors.AddModes(own * wheel_.axis_along_modes.leftCols(3).transpose());
     }
     return errors;
