@@ -111,6 +111,11 @@ class Velocities {
     for (const int f : {kBefore, kNow, kAfter}) {
       if (triple.at(f) != nullptr) FindMaterial(f, options.reach_mm);
     }
+    if (triple.at(kBefore) != nullptr) by_before_ = WeightsOf(kBefore, kNow);
+    if (triple.at(kAfter) != nullptr) by_after_ = WeightsOf(kNow, kAfter);
+    if (triple.at(kBefore) != nullptr && triple.at(kAfter) != nullptr) {
+      by_both_ = WeightsOf(kBefore, kAfter);
+    }
     ForEachIndex(v_.per_s.pixel_count(), [&](std::size_t i) { SetVelocity(i); });
     SetGroundErrors(triple.ground_errors());
     for (int f = 0; f < 3; ++f) SetOwnErrors(f);
@@ -142,12 +147,9 @@ class Velocities {
     return sum > 0.5;
   }
 
-  // By which places of the three frames make a velocity.
-  Eigen::Vector3d WeightsOf(VelocityFrom from) const {
+  // By which places of the three frames make a velocity, from `first` to `last`.
+  Eigen::Vector3d WeightsOf(int first, int last) const {
     Eigen::Vector3d weights = Eigen::Vector3d::Zero();
-    if (from == VelocityFrom::kNone) return weights;
-    const int first = from == VelocityFrom::kAfter ? kNow : kBefore;
-    const int last = from == VelocityFrom::kBefore ? kNow : kAfter;
     std::vector<double> times;
     for (int f = first; f <= last; ++f) times.push_back(triple_.at(f)->time_s);
     const std::vector<double> slope =
@@ -166,19 +168,18 @@ class Velocities {
       }
     }
     bool before = !SharesOf(kBefore, i).empty(), after = !SharesOf(kAfter, i).empty();
-    if (before) v_.before_mm_s.data()[i] = places * WeightsOf(VelocityFrom::kBefore);
-    if (after) v_.after_mm_s.data()[i] = places * WeightsOf(VelocityFrom::kAfter);
+    if (before) v_.before_mm_s.data()[i] = places * by_before_;
+    if (after) v_.after_mm_s.data()[i] = places * by_after_;
     const Image<std::uint8_t>& contact = triple_.at(kNow)->contact;
     if (before && after && !contact.empty() && contact.data()[i] != 0) {
       const bool touched = Touches(kBefore, i), will_touch = Touches(kAfter, i);
       if (touched != will_touch) (touched ? after : before) = false;
     }
     if (!before && !after) return;
-    const VelocityFrom from = before && after ? VelocityFrom::kBoth
-                              : before        ? VelocityFrom::kBefore
-                                              : VelocityFrom::kAfter;
-    v_.from.data()[i] = from;
-    v_.per_s.data()[i] = WeightsOf(from);
+    v_.from.data()[i] = before && after ? VelocityFrom::kBoth
+                        : before        ? VelocityFrom::kBefore
+                                        : VelocityFrom::kAfter;
+    v_.per_s.data()[i] = before && after ? by_both_ : before ? by_before_ : by_after_;
     v_.value_mm_s.data()[i] = places * v_.per_s.data()[i];
   }
 
@@ -241,6 +242,9 @@ class Velocities {
   }
 
   const Triple& triple_;
+  // By which places of the three frames make velocities; 0 where the frames are not there.
+  Eigen::Vector3d by_before_ = Eigen::Vector3d::Zero(), by_after_ = by_before_,
+                  by_both_ = by_before_;
   MaterialVelocity v_;
 };
 

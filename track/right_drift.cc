@@ -215,6 +215,7 @@ Eigen::Vector2d RightDriftLeftOutAt(const RollingFrame& frame, std::size_t place
 
 Image<Eigen::Vector2d> RightDriftLeftOut(const RollingWheel& rolling, std::size_t frame,
                                          const PlanarField& grid) {
+  if (rolling.frames[frame].right_drift_px_s.empty()) return {};
   Image<Eigen::Vector2d> left_out = DriftOn(rolling, frame, grid);
   const double by = rolling.frames[frame].right_drift_left_out * rolling.right_delay.value_s;
   for (Eigen::Vector2d& px : left_out.values()) px *= by;

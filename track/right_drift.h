@@ -44,7 +44,7 @@ void FindRightDrift(const WheelReference& wheel, RollingWheel* rolling);
 [[nodiscard]] Eigen::Vector2d RightDriftLeftOutAt(const RollingFrame& frame, std::size_t place);
 
 // What that does to the right pixels of a grid of finer points through RollingWheel::right_delay
-// (px).
+// (px); empty where no drift is known.
 [[nodiscard]] Image<Eigen::Vector2d> RightDriftLeftOut(const RollingWheel& rolling,
                                                        std::size_t frame, const PlanarField& grid);
 

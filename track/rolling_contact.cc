@@ -82,6 +82,9 @@ class ContactOfRun {
   void CorrectCarcass(RollingContact* contact);
   void FindPatchesOf(RollingContact* contact) const;
   void SetSigma();
+  bool KnownOverGround(std::size_t f, const RollingContact& contact) const {
+    return f < rolling_.frames.size() && Placed(f) && contact.frames[f].rotation.found;
+  }
   std::optional<FrameOverGround> OverGround(std::size_t f, const RollingContact& contact) const;
   Image<std::uint8_t> InContact(const FramePoints& points, const RollingContactFrame& frame) const;
   void Deform(std::size_t f, const FrameOverGround& now, RollingContactFrame* out) const;
@@ -248,9 +251,7 @@ Image<std::uint8_t> ContactOfRun::InContact(const FramePoints& points,
 // Nothing where there is no such frame, or it was not placed over the ground.
 std::optional<FrameOverGround> ContactOfRun::OverGround(std::size_t f,
                                                         const RollingContact& contact) const {
-  if (f >= rolling_.frames.size() || !Placed(f) || !contact.frames[f].rotation.found) {
-    return std::nullopt;
-  }
+  if (!KnownOverGround(f, contact)) return std::nullopt;
   FramePoints points = PointsOf(f);
   FrameOverGround out;
   MaterialFrame& frame = out.material;
@@ -381,13 +382,10 @@ void ContactOfRun::CountChangesOfSpeed(RollingContact* contact) const {
 // From one neighbour alone the direction of the velocity, too, is that of half-way to it. By how
 // much the neighbour's is another counts as an error.
 void ContactOfRun::CountTurnsAtEnds(RollingContact* contact) const {
-  const auto over_ground = [&](std::size_t f) {
-    return f < contact->frames.size() && Placed(f) && contact->frames[f].rotation.found;
-  };
   std::vector<double> turned(contact->frames.size(), 0);
   for (std::size_t f = 0; f < turned.size(); ++f) {
-    const bool before = f > 0 && over_ground(f - 1);
-    if (before == over_ground(f + 1)) continue;
+    const bool before = f > 0 && KnownOverGround(f - 1, *contact);
+    if (before == KnownOverGround(f + 1, *contact)) continue;
     const RollingSlip &here = contact->frames[f].slip,
                       &beside = contact->frames[before ? f - 1 : f + 1].slip;
     if (!here.found || !beside.found) continue;

@@ -176,7 +176,7 @@ constexpr std::array kPartsDisturbed = {Part{"tilt about x, rad", &Proof::tilt_x
                                         Part{"speed of the wheel, rad/s", &Proof::wheel_speed, 0.4},
                                         Part{"speed over the ground, mm/s", &Proof::speed, 0.6, 2},
                                         Part{"effective radius, mm", &Proof::radius, 0.1},
-                                        Part{"slip angle, rad", &Proof::slip_angle, 0.4},
+                                        Part{"slip angle, rad", &Proof::slip_angle},
                                         Part{"patch area, mm2", &Proof::area, 0, 2.5, 0.8},
                                         Part{"patch length, mm", &Proof::length, 0},
                                         Part{"patch width, mm", &Proof::width, 0, 2.5},

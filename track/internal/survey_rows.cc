@@ -276,6 +276,7 @@ void SurveyRows::MoveBack(const WheelReference& reference, const RightDelay& del
     for (std::size_t i = 0; i < pose.observations.size(); ++i) {
       pose.observations[i].right -=
           delay.value_s * RightVelocityAt(frame, pose.places[i], pose.right_flow_px[i]);
+      if (frame.right_drift_px_s.empty()) continue;
       pose.right_common_px.push_back(delay.value_s * RightDriftLeftOutAt(frame, pose.places[i]));
     }
     for (RollingPoint& p : frame.points) p.right_px -= delay.value_s * RightVelocityOf(frame, p);
